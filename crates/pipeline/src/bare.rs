@@ -13,7 +13,7 @@ pub fn lacking(path: &Path, no_camera: bool, no_lights: bool) -> Vec<String> {
         );
     }
     if no_lights {
-        lines.push("no lights in the file: lit by the built-in studio light; --environment FILE replaces it".into());
+        lines.push("no lights in the file: studio light lights the scene; --environment FILE replaces it".into());
     }
     let extension = path.extension().unwrap_or_default();
     if !lines.is_empty() && ["gltf", "glb"].iter().any(|gltf| extension.eq_ignore_ascii_case(gltf)) {

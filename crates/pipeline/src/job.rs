@@ -47,7 +47,8 @@ pub struct Job {
     /// Version of the format.
     #[serde(default = "version")]
     pub version: u32,
-    /// Name in reports and of the run folder; default: the file's name without extension.
+    /// Name in reports and of the run folder. Default: the file's name without extension, but for a
+    /// file `job.toml` the name of its folder.
     #[serde(default)]
     pub name: String,
     /// Scene to render: `.gltf`, `.glb`, USD, `.blend`, or a file of an importer plugin. A job has
@@ -71,7 +72,7 @@ pub struct Job {
     /// Position of the display in the scene.
     #[serde(default)]
     pub window: WindowJob,
-    /// The scene's animation and variant.
+    /// The scene's time, animation, variants and crop.
     #[serde(default)]
     pub pose: PoseJob,
     /// Light and exposure.
@@ -107,12 +108,12 @@ pub struct Job {
     /// Folder of the job file. Paths in parameters of plugins are relative to this folder.
     #[serde(skip)]
     pub folder: PathBuf,
-    /// The job file, if there is one. A run does not overwrite it.
+    /// The job file, if there is one. A run overwrites it only if an earlier run wrote it.
     #[serde(skip)]
     pub file: Option<PathBuf>,
 }
 
-/// Time, variants and crop of a scene.
+/// Time, animation, variants and crop of a scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseJob {
@@ -212,7 +213,8 @@ impl Job {
     /// Reads a job file; its relative paths become relative to the working folder.
     ///
     /// # Errors
-    /// If the file cannot be read, does not parse, or has unknown keys.
+    /// If the file cannot be read, does not parse, has unknown keys, or has another format or
+    /// version.
     pub fn load(path: &Path) -> Result<Self, PipelineError> {
         let text = read_to_string(path)?;
         let mut job: Self = config::parse(&text).map_err(|source| PipelineError::Config {
@@ -325,8 +327,8 @@ impl Job {
         self.render.engine == Engine::Blender || is_file && self.render.engine == Engine::Auto
     }
 
-    /// Checks the input, ranges of values, and combinations of keys. [`DisplayJob::resolve`] checks
-    /// the display; the stages check `[factorize]` and `[sweep]`.
+    /// Checks the input, ranges of values, and combinations of keys. The display, `[factorize]` and
+    /// `[sweep]` are checked later.
     ///
     /// # Errors
     /// For the first wrong value.

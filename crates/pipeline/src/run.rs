@@ -95,8 +95,8 @@ pub struct SequenceSummary {
     /// Flicker: PSNR of the change of the emission between time steps, against the change of the
     /// target, dB. Higher values mean less flicker. `None` for a single time step.
     pub psnr_change: Option<f64>,
-    /// The same PSNR as `psnr_change`, but only over rays along which the target is constant.
-    /// `None` if the target is constant along no ray.
+    /// The same PSNR as `psnr_change`, but only over rays along which the target hardly changes.
+    /// `None` if there is no such ray.
     pub psnr_still: Option<f64>,
 }
 

@@ -112,7 +112,7 @@ impl RunFolder {
     /// Returns the picture of the run from a viewpoint; see [`picture_from`].
     ///
     /// # Errors
-    /// If the viewpoint is behind the display, or its numbers are out of range.
+    /// If the viewpoint is not in front of the display, or its numbers are out of range.
     pub fn picture(&self, viewpoint: Viewpoint, raw: bool) -> Result<Tensor<3>, PipelineError> {
         picture_from(&self.display, &self.stack, viewpoint, raw)
     }
@@ -162,7 +162,7 @@ fn preview_key(dir: &Path, registry: &Registry) -> Result<String, PipelineError>
 /// The values are L̃/β, or L̃ if `raw` is true.
 ///
 /// # Errors
-/// If the viewpoint is behind the display, or its numbers are out of range.
+/// If the viewpoint is not in front of the display, or its numbers are out of range.
 pub fn picture_from(
     display: &Display,
     stack: &LayerStack,

@@ -86,7 +86,7 @@ pub(crate) const TRACE: StageInfo = StageInfo {
     code: code::VIEWS,
 };
 
-/// Denoises all views together.
+/// Denoises the views.
 pub(crate) const DENOISE: StageInfo = StageInfo {
     name: "denoise",
     label: Some("render"),

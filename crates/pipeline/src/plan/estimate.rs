@@ -477,7 +477,7 @@ const VIEWS_IN_WORK: f64 = 8.0;
 const SHARED_SHARE: f64 = 0.1;
 /// Time of the solver for a directional backlight, divided by its time for a uniform one.
 const DIRECTIONAL_TIMES: f64 = 8.0;
-/// Time to place the window, in the time of a path.
+/// Time to place the window, as a multiple of the time of a path.
 const PLACE: f64 = 1e5;
 /// Time of the measurement that chooses the number of samples, divided by the time of its paths.
 /// The measurement also solves and compares.

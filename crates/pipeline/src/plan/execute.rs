@@ -138,7 +138,7 @@ impl<'a> Executor<'a> {
     }
 
     /// Executes one block of a step: solves one tile of the patterns in a round, or traces some
-    /// pictures. Tracing needs only the scene and its placement.
+    /// pictures. Tracing needs only the scene and the placed window.
     fn run_block(&mut self, index: usize, block: Block, round: Option<usize>) -> Result<(), PipelineError> {
         let plan = self.context.plan;
         let step = &plan.steps[index];

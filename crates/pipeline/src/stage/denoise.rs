@@ -38,8 +38,8 @@ pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
 
-/// To check a filter, some pixels are rendered again. Each of these renders has this many times the
-/// paths of a view.
+/// To check a filter, some pixels are rendered again. Each of these renders has the number of paths
+/// of a view, multiplied by this factor.
 const CHECK_FACTOR: u32 = 2;
 /// Maximum number of views whose pixels are rendered again to check a filter. This number of views,
 /// spread over the viewing zone, suffices to judge a filter.

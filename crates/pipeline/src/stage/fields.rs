@@ -82,8 +82,8 @@ impl Shot<'_> {
     pub(crate) fn fields(&self, cache_dir: &Path, blender: bool) -> Vec<FieldJob> {
         let (job, geometry, settings) = (self.job, self.geometry, self.settings());
         // If each view of the target is averaged over its bin of slopes, each held-out view and
-        // each view outside the zone is averaged over a range of the same width. The bins of their
-        // own grids are wider.
+        // each view outside the zone is averaged over a range of the same width, not over a bin of
+        // its own grid.
         let settings_of_others = Settings {
             angular_filter: match settings.angular_filter {
                 lumistack_pathtracer::AngularFilter::Bin => {

@@ -156,9 +156,9 @@ fn gltf_bytes(
     lumistack_plugin_host::import_scene(registry, id, &params, &file, &read, task).map_err(host_error)
 }
 
-/// Loads a scene in its pose, with the environment of the job. A scene without any light gets
-/// studio light. Files that are neither glTF, USD nor `.blend` need an importer. Conversions by
-/// other programs are kept in `cache_dir`.
+/// Loads a scene in its pose, with the environment of the job. With `light.automatic`, meshes
+/// without light get studio light. Files that are neither glTF, USD nor `.blend` need an importer.
+/// Conversions by Blender are kept in `cache_dir`.
 ///
 /// # Errors
 /// If a file cannot be read, no importer accepts it, or the scene cannot be rendered.

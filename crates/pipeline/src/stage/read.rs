@@ -1,5 +1,5 @@
-//! Reads a light field of another renderer, warns about values out of range, and applies the
-//! exposure and tone curve of the job.
+//! Reads a light field of another renderer, applies the exposure and tone curve of the job, and
+//! warns about values out of range.
 
 use std::path::Path;
 

@@ -212,7 +212,7 @@ impl References {
         Some((self.directions.iter().cloned().zip(pictures.iter().cloned()), *left_out))
     }
 
-    /// Reads all pictures into memory, since their folder will be removed.
+    /// Reads all pictures into memory, so that the caller may remove their folder.
     ///
     /// # Errors
     /// If a picture is missing.
