@@ -230,8 +230,8 @@ pub struct FailedOutput {
 fn failed_outputs(failed: &[FailedOutput]) -> String {
     let list = failed.iter().map(|output| format!("{}: {}", output.path, output.reason)).collect::<Vec<_>>().join("; ");
     match failed.len() {
-        1 => format!("an output failed, everything else is finished. Failed: {list}"),
-        count => format!("{count} outputs failed, everything else is finished. Failed: {list}"),
+        1 => format!("an output failed; everything else is finished. Failed: {list}"),
+        count => format!("{count} outputs failed; everything else is finished. Failed: {list}"),
     }
 }
 

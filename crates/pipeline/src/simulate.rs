@@ -59,7 +59,7 @@ impl RunFolder {
     pub fn open(dir: &Path) -> Result<Self, PipelineError> {
         if dir.is_dir() && !dir.join("display.toml").exists() {
             let expected = "a run, with display.toml and layers/stack.json in it";
-            return Err(PipelineError::value(dir, "folder", expected, "no display.toml in it"));
+            return Err(PipelineError::value(dir, "folder", expected, "a folder without display.toml"));
         }
         let display = presets::load_file(&dir.join("display.toml"))?;
         let layers = dir.join("layers");

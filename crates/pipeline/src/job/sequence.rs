@@ -74,7 +74,7 @@ impl SequenceJob {
         }
         // Keys that have no effect for this input are mistakes, so they are errors.
         if (self.turn_deg != 0.0 || self.shift_mm != [0.0; 3]) && !has_scene {
-            return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "them without a scene".into());
+            return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "these keys without a scene".into());
         }
         if self.duration_s != 0.0 && has_light_field {
             let expected = "`duration_s` for a scene or a source only";
@@ -87,7 +87,7 @@ impl SequenceJob {
         if let Some(times) = self.warm_up_times
             && !self.chunk_times.is_some_and(|chunk| (1..=chunk).contains(&times))
         {
-            return fail("sequence.warm_up_times", "1 to `chunk_times`", times.to_string());
+            return fail("sequence.warm_up_times", "1 to `chunk_times`, which must be set", times.to_string());
         }
         if !self.duration_s.is_finite() {
             return fail("sequence.duration_s", "a finite time", self.duration_s.to_string());

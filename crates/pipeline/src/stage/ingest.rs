@@ -315,7 +315,7 @@ fn load_blend(
     let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     let given = [("animation", animation), ("variant", variant), ("variants", variants.into_iter().next())];
     if let Some((key, found)) = given.into_iter().find_map(|(key, given)| Some((key, given?))) {
-        let expected = "none: a .blend file is converted in the state that it has in Blender at `pose.time_s`";
+        let expected = "none, since a .blend file is converted in the state that it has in Blender at `pose.time_s`";
         return Err(PipelineError::value(path, format!("pose.{key}"), expected, found));
     }
     let HandedOver { glb, account } = handover::hand_over(path, time_s, cache_dir, task)?;

@@ -54,7 +54,7 @@ fn chosen(
         Engine::Blender => return Engine::Blender,
         Engine::Lumistack => Some("`render.engine = \"lumistack\"` requests our path tracer".to_owned()),
         Engine::Auto if !plain => Some(
-            "`angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` and variance require our path tracer"
+            "the job uses one of `angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` and variance, which require our path tracer"
                 .to_owned(),
         ),
         Engine::Auto if !is_file => {
