@@ -1,6 +1,6 @@
 //! Errors of the pipeline, from the job file to the outputs. A message about a wrong value states
-//! the place (a file with the position in it, a key or an option), the expected value and the found
-//! value.
+//! the place, the expected value and the found value. The place is a file with the position in it,
+//! a key, or an option.
 
 use std::path::{Path, PathBuf};
 

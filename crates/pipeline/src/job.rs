@@ -270,8 +270,8 @@ impl Job {
     /// chosen.
     ///
     /// # Errors
-    /// If the job does not name exactly one preset or display file, the preset is unknown, the
-    /// display file cannot be read, or a value is out of range.
+    /// If the job names neither a preset nor a display file, or both. Also if the preset is
+    /// unknown, the display file cannot be read, or a value is out of range.
     pub fn resolve_display(&self) -> Result<Display, PipelineError> {
         let display = self.display.resolve()?;
         let most = self.most_views(&display);
@@ -314,9 +314,9 @@ impl Job {
     }
 
     /// Returns true if noisy pixels of the views get [further
-    /// paths](lumistack_pathtracer::Settings::further_paths): if the views share light and their
-    /// number is fixed, since users may look at each view alone. If a display chooses its views,
-    /// the solver averages the noise that further paths would remove.
+    /// paths](lumistack_pathtracer::Settings::further_paths). Views get them if they share light
+    /// and their number is fixed, since users may look at each fixed view alone. If a display
+    /// chooses its views, the solver averages the noise that further paths would remove.
     pub(crate) fn has_further_paths(&self, display: &Display) -> bool {
         self.denoise_for(display) == Denoise::Shared && matches!(display.field.views, Views::Fixed(_))
     }

@@ -105,9 +105,9 @@ pub struct SequenceSummary {
 /// A failed output does not end the run. The report and the summary contain its message.
 ///
 /// # Errors
-/// If the job is wrong, another run uses the folder, the run would replace a file of another
-/// program, or a stage fails or is cancelled. Finished stages are kept, and the next run reuses
-/// them.
+/// If the job is wrong, another run uses the folder, or the run would replace a file of another
+/// program. Also if a stage fails or is cancelled. Finished stages are kept, and the next run
+/// reuses them.
 pub fn run(
     job: &Job,
     run_dir: &Path,

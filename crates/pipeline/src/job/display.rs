@@ -27,9 +27,9 @@ pub struct DisplayJob {
     /// proportion; the width in millimetres stays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[usize; 2]>,
-    /// Views that sample the viewing zone: `"auto"` for as many as the display needs,
-    /// `[horizontal, vertical]` counts, or `{ step = [x, y] }` for views at multiples of these
-    /// slopes.
+    /// Views that sample the viewing zone. `"auto"` selects the number that the display needs.
+    /// `[horizontal, vertical]` are numbers of views. `{ step = [x, y] }` selects views at
+    /// multiples of these slopes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub views: Option<Views>,
     /// Field of view, `[horizontal, vertical]` full angles in degrees.

@@ -1,5 +1,5 @@
-//! Steps of a sequence: one run folder per time step. A time step after the first has a warm start
-//! from the previous time step, unless it begins a chunk or a fresh start is better.
+//! Steps of a sequence: one run folder per time step. A time step has a warm start from the
+//! previous one, unless it is the first, begins a chunk, or solves better without a warm start.
 //!
 //! ```text
 //! job ─▶ t0001/ ─layers─▶ t0002/ ─layers─▶ t0003/ ─▶ ...      each folder holds the job of a still
@@ -7,7 +7,7 @@
 //! ```
 //!
 //! A time step of a job with nodes is a graph, in folders such as t0001/nodes/ID, with a warm start
-//! for each node. A fresh start is better, for example, after a cut.
+//! for each node. A warm start does not help after a cut, for example.
 //! [`Times::job`](super::times::Times::job) makes the job of a time step.
 //!
 //! Chunks break the chain of warm starts, so that several machines can solve them in parallel.

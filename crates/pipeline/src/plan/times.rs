@@ -1,7 +1,7 @@
 //! Time steps of a sequence. Each time step is the job of a still.
 //!
-//! Time steps differ in the file of the light field, in the time of a source, in the position of a
-//! window that moves, or in the pose of an animated scene.
+//! Time steps differ in one or more of these: the file of the light field, the time of a source,
+//! the position of the window, the pose of the scene.
 
 use std::path::{Path, PathBuf};
 

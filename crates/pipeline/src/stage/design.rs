@@ -71,8 +71,8 @@ impl Shared {
     }
 }
 
-/// A function that converts the settings of the first time step to the settings of later time
-/// steps: [with a warm start, without a warm start].
+/// A function that converts the settings of the first time step to those of later time steps: [with
+/// a warm start, without a warm start].
 pub(crate) type Later = Box<dyn Fn(&FactorizeJob) -> [FactorizeJob; 2] + Send + Sync>;
 
 /// Solves designs and writes their rows.

@@ -33,9 +33,8 @@ impl Context<'_> {
         }
         let weights = field::weights(&job.factorize, field.target.geometry())?;
         let target = &field.target;
-        // Solve, or read the cached patterns. If the content of a time step differs too much from
-        // the content of the previous time step, the solver does not start from the previous
-        // patterns.
+        // Solve, or read the cached patterns. If the content changes too much between two time
+        // steps, the solver does not start from the previous patterns.
         let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
             Some(node) => {
                 let given = NodeInput { node, seed: job.seed, display: &display, target, weights: &weights };

@@ -20,8 +20,8 @@ use crate::store::views::write_picture;
 ///
 /// If the job names an engine, that engine renders. With `auto`, our path tracer renders, with one
 /// exception: the engine of a `.blend` file renders if the conversion loses features of the scene.
-/// The file's engine must work on this machine, and the job must not need features that only our
-/// path tracer has, such as the `variance` of views.
+/// The file's engine must work on this machine. The job must not need features that only our path
+/// tracer has, such as the `variance` of views.
 pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<'_>) -> Engine {
     let is_file = job.scene.as_deref().is_some_and(is_blend);
     chosen(
