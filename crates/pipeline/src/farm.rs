@@ -10,9 +10,9 @@
 //! it executes its steps and records that it is done.
 //!
 //! Every unit except the last holds a shared lock of the run folder. The folder of a time step or
-//! node has its own lock, which a unit holds exclusively while it writes results there. The last
-//! unit runs the whole job: it reuses all results and writes the reports. It holds the lock of the
-//! run folder exclusively.
+//! node has its own lock. Units that make blocks of pictures or tiles there share this lock; a unit
+//! that makes whole results holds it exclusively. The last unit runs the whole job: it reuses all
+//! results and writes the reports. It holds the lock of the run folder exclusively.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

@@ -46,8 +46,8 @@ use crate::store::stamps::Stamps;
 const FILE: &str = "cache/steps.json";
 /// Number of hexadecimal digits that a plan shows of a key.
 const DIGITS: usize = 16;
-/// Mean number of rays per pixel that the zone score traces for a direction. The number includes
-/// the rays of both renders of the direction.
+/// Mean number of rays per pixel that a zone score with 64 directions traces for a direction. The
+/// number includes the rays of both renders of the direction.
 const SCORE_SAMPLES: f64 = 6.5;
 
 /// Record of an executed step.

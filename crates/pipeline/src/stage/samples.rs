@@ -48,7 +48,7 @@ use crate::store::stamps::remembered;
 
 /// Maximum number of sections of the picture. In this code, a section is a `Part`.
 const PARTS: usize = 6;
-/// Maximum fraction of the picture's area that all sections cover.
+/// Maximum fraction of the picture's area that all sections cover. A single section may cover more.
 const MOST_AREA: f64 = 0.25;
 /// Edge of the measured middle of a section, pixels. The margin around it is not measured, since
 /// some of its rays miss the section's layers.

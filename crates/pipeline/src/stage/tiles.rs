@@ -91,9 +91,10 @@ impl Tiles {
         tiling.tile(down / 2 * across + across / 2)
     }
 
-    /// Returns the iterations of a round. A round gets half of the remaining iterations, but leaves
-    /// at least one for each later round. The last round gets all remaining iterations. Patterns
-    /// form in the first round. A short last round leaves only small differences at the borders.
+    /// Returns the iterations of a round. A round gets about half of the remaining iterations, and
+    /// leaves at least one for each later round. The last round gets all remaining iterations.
+    /// Patterns form in the first round. A short last round leaves only small differences at the
+    /// borders.
     fn iterations(&self, job: &FactorizeJob, round: usize) -> std::ops::Range<u32> {
         let all = job.iterations() as usize;
         let left = |round: usize| if round < self.rounds { (all >> round).max(self.rounds - round) } else { 0 };
