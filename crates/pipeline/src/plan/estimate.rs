@@ -324,6 +324,7 @@ impl Sizes {
         let count = |grid: &Option<ViewGrid>| grid.as_ref().map_or(0, |grid| grid.iter().count());
         let area = |[cols, rows]: [usize; 2]| (cols * rows) as f64;
         let frames = display.frames as f64;
+        // A given light field has no further light fields for the report.
         let others = match &job.light_field {
             Some(_) => [None, None],
             None => [held_out_grid(&geometry.grid, job.render.held_out), geometry.grid.outside(job.render.outside)],
@@ -404,6 +405,7 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     // Each ray through splats has no noise, so one ray per pixel is enough.
     let is_capture = job.scene.as_deref().is_some_and(is_capture);
     let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
+    // Count paths, rays or solver updates, in the unit of the stage.
     match step.kind {
         StepKind::Ingest => 1.0,
         StepKind::Place => PLACE + MEASURED_TIMES * sizes.measured_paths,

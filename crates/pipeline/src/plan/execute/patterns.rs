@@ -98,8 +98,9 @@ impl Context<'_> {
         tiles::run_tile(cut, [round, block.number(), block.count()], &stamps, task)
     }
 
-    /// Returns the display of a part. For a node, this is the node's display, adapted to the light
-    /// field. Otherwise it is `shared`, the display of the job.
+    /// Returns the display of a part. If the part is a node with its own display, this is the
+    /// node's display, adapted to the light field. Otherwise it is `shared`, the display of the
+    /// job.
     fn display(
         &mut self,
         part: usize,
