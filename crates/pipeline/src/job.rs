@@ -493,8 +493,8 @@ mod tests {
         names[1..].to_vec()
     }
 
-    /// The display has 13 × 13 native slopes. A lower limit selects every second or every third
-    /// slope, and for 3 × 3 views only the outer and the middle slopes.
+    /// The display has 13 × 13 native slopes. A lower limit selects every second, every third or
+    /// every fourth slope.
     #[test]
     fn the_number_of_chosen_views_has_a_limit_that_can_be_set() {
         let views = |render: &str| {

@@ -38,7 +38,7 @@ impl Context<'_> {
             plugins(job, self.registry)?;
             check_folder(&self.dir(number))?;
             // Open the outputs of a scene, so that their plugins refuse displays that they cannot
-            // show. Other inputs have an unknown geometry, so their step opens the outputs.
+            // show. For other inputs, the step that reads or makes the light field opens them.
             if job.scene.is_some() && !matches!(part.kind, PartKind::Node(_)) {
                 self.open_outputs(
                     job,
