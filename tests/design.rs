@@ -103,7 +103,7 @@ fn a_search_proposes_a_design_within_the_constraints() {
     let printed = succeed(lumistack().args(["analyze", display]));
     assert!(printed.contains("2 layers, uniform backlight, 2 frames"), "{printed}");
     let text = fail(lumistack().arg("sweep").arg(&job).args(["--max-panels", "0", "-o"]).arg(&out));
-    assert!(text.contains("sweep.search: expected constraints that at least one design keeps"), "{text}");
+    assert!(text.contains("sweep.search: expected constraints that at least one design satisfies"), "{text}");
 }
 
 #[test]

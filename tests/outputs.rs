@@ -80,7 +80,7 @@ fn a_sequence_counts_the_times_of_a_source() {
     };
     assert!(error("[sequence]\n").contains("sequence.times: expected the number of time steps"));
     assert!(error("[sequence]\ntimes = 2\nturn_deg = 3.0\n").contains("for a scene only"));
-    assert!(error("[pose]\ntime_s = 1.0\n").contains("pose: expected a scene to pose"));
+    assert!(error("[pose]\ntime_s = 1.0\n").contains("pose: expected a job with `scene`"));
 }
 
 #[test]

@@ -366,7 +366,7 @@ fn jobs() {
     check(&input, "turn_deg = 3.0", &["sequence", "without a scene"]);
     check(&input, "duration_s = 3.0", &["sequence", "duration_s", "light fields"]);
     check(&scene, "times = 2\nduration_s = inf", &["sequence.duration_s", "finite"]);
-    check(&input, "[pose]\ntime_s = 1.0", &["pose", "a scene to pose"]);
+    check(&input, "[pose]\ntime_s = 1.0", &["pose", "only scenes have poses"]);
     check(&scene, "times = 2\n[pose]\ntime_s = nan", &["pose.time_s", "a finite time"]);
     check(&input, "times = 3", &["times", "at least 3 light fields", "found 2"]);
     check(&input.join("f8.npy"), "", &["f8.npy", "readable"]);

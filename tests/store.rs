@@ -325,7 +325,7 @@ fn neither_foreign_files_nor_inputs_are_written_over() {
     assert!(error.contains("job.toml") && error.contains("job file"), "{error}");
     // the folder has files of another program with the names of the run's files
     let error = fail(factorize(&here.join("views.npy"), Path::new("."), 2).current_dir(here));
-    assert!(error.contains("job.toml") && error.contains("something else"), "{error}");
+    assert!(error.contains("job.toml") && error.contains("did not write"), "{error}");
     assert_eq!(fs::read_to_string(&own).unwrap(), text);
     let mut names: Vec<_> = fs::read_dir(here).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     names.sort();

@@ -87,8 +87,8 @@ pub struct Graph {
     pub units: Vec<Unit>,
 }
 
-/// Units whose ids differ only in the number of the block. A unit that is no block is a group of
-/// its own.
+/// Units whose ids differ only in the number of the block. A unit that is no block forms a group
+/// alone.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Group<'a> {
     /// Common beginning of the units' ids.

@@ -19,6 +19,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     );
     let _ = writeln!(text, "    job = outline.Outline({}, frame_range=\"1\")", literal(&plain(&graph.name)));
     text.push_str("    layers = {}\n");
+    // Make one OpenCue layer per group, after the layers that it depends on.
     for group in &groups {
         // OpenCue replaces `#IFRAME#` by the number of a frame, which is the number of a block.
         let mut words = graph.command(&group.id_with("#IFRAME#"));

@@ -96,8 +96,7 @@ mod tests {
         let sum: f64 = graph.units.iter().map(|unit| unit.seconds).sum();
         let one = predict(&graph, 1, 0.0);
         assert_eq!((one.makespan_seconds, one.busy), (sum, 1.0));
-        // The longest path has these units in turn: place, views, field, two factorizations,
-        // finish.
+        // The longest path has these units: place, views, field, two factorizations, finish.
         let longest = 1.0 + 8.0 + 1.0 + 2.0 + 2.0 + 1.0;
         assert_eq!(paths(&graph, 0.0)[0], longest);
         assert_eq!(predict(&graph, 1000, 0.0).makespan_seconds, longest);

@@ -1,5 +1,5 @@
-//! A POSIX shell script that executes levels of the graph in turn. The units of one level do not
-//! depend on each other, so they run in parallel.
+//! A POSIX shell script that executes the levels of the graph one after another. The units of one
+//! level do not depend on each other, so they can run in parallel.
 
 use std::fmt::Write;
 

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 pub use std::fs::File;
 
 pub(crate) fn open(path: &Path) -> io::Result<File> {
-    // check before opening: opening a pipe would wait for a writer, and opening a device may do
-    // something
+    // check before opening: opening a pipe would wait for a writer, and opening a device may have
+    // effects
     check_kind(fs::metadata(path)?.file_type())?;
     let file = File::open(path)?;
     // check again, since the path may lead to another file by now
@@ -55,11 +55,11 @@ fn special(kind: FileType) -> &'static str {
         _ if kind.is_fifo() => "a pipe",
         _ if kind.is_char_device() || kind.is_block_device() => "a device",
         _ if kind.is_socket() => "a socket",
-        _ => "something else",
+        _ => "another kind of file",
     }
 }
 
 #[cfg(not(unix))]
 fn special(_kind: FileType) -> &'static str {
-    "something else"
+    "another kind of file"
 }

@@ -1,10 +1,10 @@
 //! Reads files that the user or another file names.
 //!
 //! A name may stand for anything: a device that never ends, a pipe without a writer, a file of
-//! terabytes, a secret in another folder. Here only regular files are opened, and their size is
-//! compared with a limit before the first byte is read. A file may contain names of other files. A
-//! [`Folder`] refuses names that lead out of the folder of the file that contains them. Every
-//! reader of the workspace that has a path goes through this crate.
+//! terabytes, a secret in another folder. This crate opens only regular files. Before it reads a
+//! whole file, it compares the file's size with a limit. A file may contain names of other files. A
+//! [`Folder`] can refuse names that lead out of the folder of the file that contains them. Readers
+//! of input files use this crate.
 //!
 //! A web page has no file system. Files that were dropped on the page are held in memory (`hold`),
 //! and the same readers read them.
@@ -43,17 +43,17 @@ pub fn open(path: &Path) -> io::Result<File> {
 /// Returns the length of an open file, bytes.
 ///
 /// # Errors
-/// When the system refuses.
+/// If the operating system cannot return the length.
 pub fn length(file: &File) -> io::Result<u64> {
     system::length(file)
 }
 
-/// Returns whether the path leads to a regular file.
+/// Returns true if the path leads to a regular file.
 pub fn is_file(path: &Path) -> bool {
     system::is_file(path)
 }
 
-/// Returns whether the path leads to a folder.
+/// Returns true if the path leads to a folder, false if it leads to a file.
 ///
 /// # Errors
 /// If no file or folder has this path.
@@ -187,7 +187,7 @@ impl Folder {
     /// the path is inside it.
     ///
     /// # Errors
-    /// If names may not lead out of the folder: if the name leads out of it, or to no file.
+    /// If names may not lead out of the folder, and the name leads out of it or to no file.
     pub fn resolve(&self, name: impl AsRef<Path>) -> Result<PathBuf, Refusal> {
         let path = self.path_of(name);
         if let Some(folder) = self.inside.first() {

@@ -1,9 +1,9 @@
 //! Computes a hash of a crate's own sources, for the build script of that crate.
 //!
-//! Results are kept between runs, and thus between versions of the program. Their keys contain the
-//! fingerprints of all crates whose code affects them. After any change to that code, an old result
-//! therefore has another key and is not used. A version number that must be raised by hand would be
-//! forgotten sooner or later.
+//! Results are kept between runs, and thus between versions of the program. The key of a result
+//! contains the fingerprints of all crates whose code affects the result. After any change to that
+//! code, results get other keys, so old results are not used. With a version number raised by hand,
+//! some changes would be missed.
 //!
 //! ```text
 //! build.rs   fn main() { lumistack_fingerprint::emit(&[]); }
@@ -66,8 +66,8 @@ pub fn of(folder: &Path, more: &[&str]) -> io::Result<String> {
     Ok(hash.finalize().to_hex()[..32].to_string())
 }
 
-/// Adds every file in a folder and its subfolders, under a name relative to the crate. Hidden files
-/// and compiled Python are not sources.
+/// Adds the files in a folder and its subfolders, under names relative to the crate. Hidden files
+/// and compiled Python are left out, since they are not sources.
 fn collect(folder: &Path, name: &str, files: &mut Vec<(String, PathBuf)>) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();

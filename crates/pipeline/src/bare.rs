@@ -9,11 +9,11 @@ pub fn lacking(path: &Path, no_camera: bool, no_lights: bool) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     if no_camera {
         lines.push(
-            "no camera in the file: the front is seen, or a side with more content; --look-from AZ,EL chooses".into(),
+            "no camera in the file: the window shows the front, or a side with more content; --look-from AZ,EL chooses the direction".into(),
         );
     }
     if no_lights {
-        lines.push("no lights in the file: lit by the built-in studio light; --environment FILE replaces it".into());
+        lines.push("no lights in the file: studio light lights the scene; --environment FILE replaces it".into());
     }
     let extension = path.extension().unwrap_or_default();
     if !lines.is_empty() && ["gltf", "glb"].iter().any(|gltf| extension.eq_ignore_ascii_case(gltf)) {

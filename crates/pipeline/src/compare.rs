@@ -150,7 +150,8 @@ const PUPIL_SAMPLES: usize = 7;
 /// the depth `focus_mm`: `[row][col][rgb]`, linear, L̃/β.
 ///
 /// # Errors
-/// If the eye is not in front of the display and of the focus.
+/// If the pupil's diameter is negative or not finite, or the eye is not in front of the display and
+/// of the focus.
 pub fn refocused(
     display: &Display,
     stack: &LayerStack,

@@ -54,8 +54,8 @@ mod tests {
     use super::*;
     use crate::job::{Denoise, DisplayJob};
 
-    /// A `.blend` file without content that the conversion loses gets as many views, and shares as
-    /// much light, as the same scene in a glTF file.
+    /// If the conversion of a `.blend` file loses nothing, the file gets the views and the denoiser
+    /// of the same scene in a glTF file.
     #[test]
     fn a_file_that_our_path_tracer_shows_gets_its_settings() {
         let job = |scene: &str| Job {

@@ -1,5 +1,6 @@
-//! Errors of the pipeline, from the job file to the outputs. Every message contains the file, the
-//! position in the file, the expected value and the found value.
+//! Errors of the pipeline, from the job file to the outputs. A message about a wrong value states
+//! the place, the expected value and the found value. The place is a file with the position in it,
+//! a key, or an option.
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +21,7 @@ use lumistack_usd::UsdError;
 use serde::Serialize;
 use thiserror::Error;
 
-/// A job that did not finish.
+/// The reason for which a job did not finish.
 #[derive(Debug, Error)]
 pub enum PipelineError {
     /// The user stopped the run; finished results are kept.
@@ -85,7 +86,7 @@ pub enum PipelineError {
     /// Lumistack wrote it.
     #[error(
         "{}: expected no file, or one that Lumistack wrote, found {}; {work} into this folder would replace it; move it away, or choose another folder with -o",
-        path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "something else" }
+        path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "a file or folder that Lumistack did not write" }
     )]
     Foreign {
         /// The file or folder.
@@ -203,7 +204,7 @@ pub enum PipelineError {
     /// Factorization failed.
     #[error(transparent)]
     Factorize(FactorizeError),
-    /// An output plugin failed.
+    /// A plugin is missing, refuses its parameters, or failed.
     #[error(transparent)]
     Output(HostError),
     /// The report could not be made.
@@ -229,8 +230,8 @@ pub struct FailedOutput {
 fn failed_outputs(failed: &[FailedOutput]) -> String {
     let list = failed.iter().map(|output| format!("{}: {}", output.path, output.reason)).collect::<Vec<_>>().join("; ");
     match failed.len() {
-        1 => format!("an output failed, everything else is finished. Failed: {list}"),
-        count => format!("{count} outputs failed, everything else is finished. Failed: {list}"),
+        1 => format!("an output failed; everything else is finished. Failed: {list}"),
+        count => format!("{count} outputs failed; everything else is finished. Failed: {list}"),
     }
 }
 

@@ -10,9 +10,9 @@
 //! it executes its steps and records that it is done.
 //!
 //! Every unit except the last holds a shared lock of the run folder. The folder of a time step or
-//! node has its own lock, which a unit holds exclusively while it writes results there. The last
-//! unit runs the whole job: it reuses all results and writes the reports. It holds the lock of the
-//! run folder exclusively.
+//! node has its own lock. Units that make blocks of pictures or tiles there share this lock; a unit
+//! that makes whole results holds it exclusively. The last unit runs the whole job: it reuses all
+//! results and writes the reports. It holds the lock of the run folder exclusively.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -55,7 +55,8 @@ pub fn code() -> String {
 /// The plan of a run: its job and its units, in the form of `plan.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FarmPlan {
-    /// Hash of job, code and units. Records of units that belong to another plan are ignored.
+    /// Hash of job, code and units. The record of a unit is ignored if it has the id of another
+    /// plan.
     pub id: String,
     /// Name of the job.
     pub name: String,
@@ -79,7 +80,7 @@ pub struct UnitDone {
     plan: String,
     /// Id of the unit.
     pub id: String,
-    /// Time of the work, seconds.
+    /// Time from the start of the unit to its end, with the wait for its inputs, seconds.
     pub seconds: f64,
     /// True if the unit was already done.
     pub cached: bool,
@@ -151,7 +152,7 @@ pub fn farm_plan(
     job.folder = absolute(&job.folder);
     let mut job = plugin_files::resolved(&job, registry)?;
     job.paths_mut().for_each(|path| *path = absolute(path));
-    // Find every error before the first worker starts.
+    // Make the checks of a run before the first worker starts.
     let plan = plan_of(&job, dir, registry)?;
     let owned = folder::lock(dir, work_of(&job), &job, registry, task)?;
     Executor::new(&plan, registry, None, task).check()?;

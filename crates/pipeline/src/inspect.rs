@@ -33,8 +33,8 @@ pub fn plugins(paths: &[PathBuf]) -> Result<Registry, PipelineError> {
     Ok(registry)
 }
 
-/// Returns plugins as JSON, with their parameters and origins, and errors of libraries that do not
-/// load. Returns all plugins if `ids` is empty.
+/// Returns the plugins of `ids` as JSON, with their parameters and origins. If `ids` is empty,
+/// returns all plugins, and the errors of libraries that could not be loaded.
 ///
 /// # Errors
 /// If no plugin has one of the ids, or the library of such a plugin cannot be used.

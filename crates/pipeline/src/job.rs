@@ -1,7 +1,9 @@
-//! The job file: names the input (a scene or a light field), the display and the outputs.
+//! The job file names the input (a scene, a light field or a source plugin), the display and the
+//! outputs.
 //!
 //! Only the input and the display have no default. `docs/JOB.md` lists all keys. Relative paths are
-//! relative to the job file. Each table has a file in the folder `job`.
+//! relative to the job file. The types of most tables are in the folder `job`; the types of
+//! `[window]`, `[light]` and `[render]` are in the crate `shot`.
 
 mod display;
 mod factorize;
@@ -45,7 +47,8 @@ pub struct Job {
     /// Version of the format.
     #[serde(default = "version")]
     pub version: u32,
-    /// Name in reports and of the run folder; default: the file's name without extension.
+    /// Name in reports and of the run folder. Default: the file's name without extension, but for a
+    /// file `job.toml` the name of its folder.
     #[serde(default)]
     pub name: String,
     /// Scene to render: `.gltf`, `.glb`, USD, `.blend`, or a file of an importer plugin. A job has
@@ -53,7 +56,8 @@ pub struct Job {
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub scene: Option<PathBuf>,
-    /// Light field of another program: a folder of views, a `.npy` file or a quilt.
+    /// Light field of another program: a folder of views, a `.npy` file or a quilt. For a sequence,
+    /// a folder with a light field for each time step.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub light_field: Option<PathBuf>,
@@ -68,7 +72,7 @@ pub struct Job {
     /// Position of the display in the scene.
     #[serde(default)]
     pub window: WindowJob,
-    /// The scene's animation and variant.
+    /// The scene's time, animation, variants and crop.
     #[serde(default)]
     pub pose: PoseJob,
     /// Light and exposure.
@@ -104,12 +108,12 @@ pub struct Job {
     /// Folder of the job file. Paths in parameters of plugins are relative to this folder.
     #[serde(skip)]
     pub folder: PathBuf,
-    /// The job file, if there is one. A run does not overwrite it.
+    /// The job file, if there is one. A run overwrites it only if an earlier run wrote it.
     #[serde(skip)]
     pub file: Option<PathBuf>,
 }
 
-/// Time, variants and crop of a scene.
+/// Time, animation, variants and crop of a scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseJob {
@@ -209,7 +213,8 @@ impl Job {
     /// Reads a job file; its relative paths become relative to the working folder.
     ///
     /// # Errors
-    /// If the file cannot be read, does not parse, or has unknown keys.
+    /// If the file cannot be read, does not parse, has unknown keys, or has another format or
+    /// version.
     pub fn load(path: &Path) -> Result<Self, PipelineError> {
         let text = read_to_string(path)?;
         let mut job: Self = config::parse(&text).map_err(|source| PipelineError::Config {
@@ -244,7 +249,7 @@ impl Job {
         Ok(job)
     }
 
-    /// Returns all paths in the job.
+    /// Returns the job's paths, except the paths in parameters of plugins and in `sweep.displays`.
     pub fn paths_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let own = [
             &mut self.scene,
@@ -265,7 +270,8 @@ impl Job {
     /// chosen.
     ///
     /// # Errors
-    /// If the preset is unknown, the file does not parse, or a changed value is out of range.
+    /// If the job names neither a preset nor a display file, or both. Also if the preset is
+    /// unknown, the display file cannot be read, or a value is out of range.
     pub fn resolve_display(&self) -> Result<Display, PipelineError> {
         let display = self.display.resolve()?;
         let most = self.most_views(&display);
@@ -296,8 +302,8 @@ impl Job {
         job
     }
 
-    /// Returns the denoiser. `auto` selects shared light if the number of views is automatic too,
-    /// unless Blender may render them. Otherwise it selects no denoiser.
+    /// Returns the denoiser. `auto` selects no denoiser if the job or the display fixes the number
+    /// of views, or if Blender may render them. Otherwise `auto` selects shared light.
     pub(crate) fn denoise_for(&self, display: &Display) -> Denoise {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         match self.render.denoise {
@@ -307,10 +313,10 @@ impl Job {
         }
     }
 
-    /// Returns whether noisy pixels of the views get [further
-    /// paths](lumistack_pathtracer::Settings::further_paths). Only fixed views get them, since each
-    /// may be looked at alone. If a display chooses its views, the solver averages the noise that
-    /// further paths would remove.
+    /// Returns true if noisy pixels of the views get [further
+    /// paths](lumistack_pathtracer::Settings::further_paths). Views get them if they share light
+    /// and their number is fixed, since users may look at each fixed view alone. If a display
+    /// chooses its views, the solver averages the noise that further paths would remove.
     pub(crate) fn has_further_paths(&self, display: &Display) -> bool {
         self.denoise_for(display) == Denoise::Shared && matches!(display.field.views, Views::Fixed(_))
     }
@@ -321,7 +327,8 @@ impl Job {
         self.render.engine == Engine::Blender || is_file && self.render.engine == Engine::Auto
     }
 
-    /// Checks ranges of values, and that the job has no two keys that exclude each other.
+    /// Checks the input, ranges of values, and combinations of keys. The display, `[factorize]` and
+    /// `[sweep]` are checked later.
     ///
     /// # Errors
     /// For the first wrong value.
@@ -350,7 +357,7 @@ impl Job {
             return fail("report.zone_directions", &expected, self.report.zone_directions.to_string());
         }
         if self.pose != PoseJob::default() && self.scene.is_none() {
-            return fail("pose", "a scene to pose", "none".into());
+            return fail("pose", "a job with `scene`, since only scenes have poses", "no `scene`".into());
         }
         if let Some(corners) =
             self.pose.crop_box.filter(|corners| !corners.as_flattened().iter().all(|x| x.is_finite()))
@@ -404,6 +411,7 @@ impl Job {
                 return fail(format!("nodes[{i}].id"), expected, format!("`{}`", node.id));
             }
             ids.push(&node.id);
+            // A table that the node does not use is a mistake, so it is an error.
             let (unused, owner) = match (node.plugin == NodeJob::TENSOR_DISPLAY, &node.factorize) {
                 (true, _) if !node.params.is_empty() => ("params", "a node plugin"),
                 (false, Some(_)) => ("factorize", "`tensor-display`"),
@@ -485,7 +493,8 @@ mod tests {
         names[1..].to_vec()
     }
 
-    /// 13 × 13 native slopes; a lower limit takes every second or every third of them.
+    /// The display has 13 × 13 native slopes. A lower limit selects every second, every third or
+    /// every fourth slope.
     #[test]
     fn the_number_of_chosen_views_has_a_limit_that_can_be_set() {
         let views = |render: &str| {

@@ -5,13 +5,14 @@
 //!                        (or a light field of another renderer)      ─▶ outputs/ ─▶ report
 //! ```
 //!
-//! Every arrow is a stage (`stage/`). The plan of a job (`plan/`) lists stages as steps, which work
-//! in a run folder (`store/`).
+//! A name with a slash is a folder of the run. The other names after `job.toml` are stages
+//! (`stage/`). The plan of a job (`plan/`) lists stages as steps, which work in a run folder
+//! (`store/`).
 //!
 //! * A job with `[[nodes]]` solves several displays for one light field. The folder `nodes/ID/` has
 //!   the patterns and the report of one display.
-//! * A sequence has these stages for each time step. The solver starts every time step from the
-//!   patterns of the previous one.
+//! * A sequence has these stages for each time step. The solver starts a time step from the
+//!   patterns of the previous time step, unless a fresh start is better.
 //! * A sweep solves many designs, for the light fields of a still, a sequence or a graph.
 //!
 //! ```

@@ -33,10 +33,11 @@ pub struct Summary {
     /// Path of the report.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub report: PathBuf,
-    /// Zone score: PSNR of seen pictures over the viewing zone, dB. `None` without reference
-    /// pictures.
+    /// Zone score: PSNR of seen pictures over the viewing zone, dB. `None` for a sequence, and
+    /// without reference pictures.
     pub psnr_zone: Option<f64>,
-    /// PSNR of seen pictures over the worst tenth of the directions, dB.
+    /// PSNR of seen pictures over the worst tenth of the directions, dB. `None` also for a job with
+    /// nodes.
     pub psnr_zone_worst: Option<f64>,
     /// PSNR of the emitted light field L̃/β against the target L, at the solver's views, dB.
     pub psnr_view: f64,
@@ -45,14 +46,14 @@ pub struct Summary {
     /// PSNR of the emitted light L̃/β against the scene's light L at held-out views, dB.
     pub psnr_held_out: Option<f64>,
     /// PSNR of the emitted light L̃/β against the scene's light L at views outside the viewing
-    /// zone, dB.
+    /// zone, dB. `None` also for a job with nodes.
     pub psnr_outside: Option<f64>,
     /// Results of each node, if the job has nodes. The scores above are the scores of the first
     /// node.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeSummary>,
-    /// The scene's depth compared with the display's depth of field, as in report.json. `None`
-    /// without a scene.
+    /// The scene's depth compared with the display's depth of field, as in report.json. `None` for
+    /// a sequence, and without a scene.
     pub depth: Option<Value>,
     /// A sentence that describes `depth`.
     #[serde(skip)]
@@ -94,8 +95,8 @@ pub struct SequenceSummary {
     /// Flicker: PSNR of the change of the emission between time steps, against the change of the
     /// target, dB. Higher values mean less flicker. `None` for a single time step.
     pub psnr_change: Option<f64>,
-    /// The same PSNR as `psnr_change`, but only over rays along which the target is constant.
-    /// `None` if the target is constant along no ray.
+    /// The same PSNR as `psnr_change`, but only over rays along which the target hardly changes.
+    /// `None` if there is no such ray.
     pub psnr_still: Option<f64>,
 }
 
@@ -104,8 +105,9 @@ pub struct SequenceSummary {
 /// A failed output does not end the run. The report and the summary contain its message.
 ///
 /// # Errors
-/// If another run uses the folder, a file of another program is in the way, or a stage fails or is
-/// cancelled. Finished stages are kept, and the next run reuses them.
+/// If the job is wrong, another run uses the folder, or the run would replace a file of another
+/// program. Also if a stage fails or is cancelled. Finished stages are kept, and the next run
+/// reuses them.
 pub fn run(
     job: &Job,
     run_dir: &Path,
@@ -187,7 +189,7 @@ pub fn run_step(
 /// run reuses them.
 pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Result<SweepSummary, PipelineError> {
     let Some(table) = &job.sweep else {
-        return Err(PipelineError::job("sweep", "a table `[sweep]`, or an axis as an option", "none"));
+        return Err(PipelineError::job("sweep", "a table `[sweep]`, or an option such as --layers 1..5", "none"));
     };
     table.check()?;
     let given = &plugin_files::resolved(job, registry)?;
@@ -216,8 +218,8 @@ pub fn plan(job: &Job, run_dir: &Path, registry: &Registry) -> Result<Plan, Pipe
     Ok(plan)
 }
 
-/// Returns the job with the engine that [`engine::settled`] chooses. Only the run of a still caches
-/// conversions in this folder.
+/// Returns the job with the engine that [`engine::settled`] chooses. Only for a still, the folder
+/// `cache` of the run keeps the conversion of a `.blend` file.
 fn settled(job: &Job, run_dir: &Path, task: Task<'_>) -> Result<Job, PipelineError> {
     let cache = cache_of(run_dir);
     engine::settled(job, (work_of(job) == Work::Run).then_some(&cache), task)

@@ -1,8 +1,8 @@
 //! JSON Schemas of job and display files, for completion and checks in editors.
 //!
 //! Structure, defaults and descriptions come from the types that read the files. Parameters of
-//! plugins come from the declarations of the plugins. Ranges that depend on other keys are not in
-//! the schema; only the program checks them.
+//! plugins come from the declarations of the plugins. Ranges of values are in the schema only for
+//! parameters of plugins. For all other keys, only the program checks ranges.
 
 use lumistack_display::Display;
 use lumistack_plugin_host::{Kind, Param, PluginInfo, Registry};

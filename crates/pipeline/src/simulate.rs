@@ -59,7 +59,7 @@ impl RunFolder {
     pub fn open(dir: &Path) -> Result<Self, PipelineError> {
         if dir.is_dir() && !dir.join("display.toml").exists() {
             let expected = "a run, with display.toml and layers/stack.json in it";
-            return Err(PipelineError::value(dir, "folder", expected, "no display.toml in it"));
+            return Err(PipelineError::value(dir, "folder", expected, "a folder without display.toml"));
         }
         let display = presets::load_file(&dir.join("display.toml"))?;
         let layers = dir.join("layers");
@@ -112,7 +112,7 @@ impl RunFolder {
     /// Returns the picture of the run from a viewpoint; see [`picture_from`].
     ///
     /// # Errors
-    /// If the viewpoint is behind the display, or its numbers are out of range.
+    /// If the viewpoint is not in front of the display, or its numbers are out of range.
     pub fn picture(&self, viewpoint: Viewpoint, raw: bool) -> Result<Tensor<3>, PipelineError> {
         picture_from(&self.display, &self.stack, viewpoint, raw)
     }
@@ -162,7 +162,7 @@ fn preview_key(dir: &Path, registry: &Registry) -> Result<String, PipelineError>
 /// The values are L̃/β, or L̃ if `raw` is true.
 ///
 /// # Errors
-/// If the viewpoint is behind the display, or its numbers are out of range.
+/// If the viewpoint is not in front of the display, or its numbers are out of range.
 pub fn picture_from(
     display: &Display,
     stack: &LayerStack,
@@ -195,7 +195,7 @@ pub fn picture_from(
         }
         Viewpoint::Sweep(count) => strip(display, &simulator, count)?,
     };
-    // Divide by β, which gives the picture the brightness of the target.
+    // Unless `raw` is true, divide by β, which gives the picture the brightness of the target.
     picture.data_mut().iter_mut().for_each(|value| *value *= scale);
     Ok(picture)
 }

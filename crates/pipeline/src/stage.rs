@@ -60,7 +60,8 @@ pub(crate) const INGEST: StageInfo = StageInfo {
     code: code::SCENE,
 };
 
-/// Places the window in the scene: chooses its side, position and depth scale.
+/// Places the window in the scene: chooses the side of the scene that the window shows, the
+/// window's position, and the depth scale.
 pub(crate) const PLACE: StageInfo = StageInfo {
     name: "place",
     label: None,
@@ -85,7 +86,7 @@ pub(crate) const TRACE: StageInfo = StageInfo {
     code: code::VIEWS,
 };
 
-/// Denoises all views together.
+/// Denoises the views.
 pub(crate) const DENOISE: StageInfo = StageInfo {
     name: "denoise",
     label: Some("render"),
@@ -187,8 +188,8 @@ pub(crate) const REPORT: StageInfo = StageInfo {
     code: code::REPORTS,
 };
 
-/// Returns the display of a job as TOML: a preset or a file, with the values that the job changes.
-/// `None` if the display cannot be loaded.
+/// Returns the display of a job as TOML, without panels: a preset or a file, with the values that
+/// the job changes. `None` if the display cannot be loaded.
 fn display(job: &Job) -> Option<String> {
     job.resolve_display().ok().map(|display| display.without_panels().to_toml())
 }
@@ -212,7 +213,7 @@ mod tests {
         }
     }
 
-    /// A value that a stage reads changes its key; other values do not.
+    /// A value that a stage reads changes the stage's key; other values do not.
     #[test]
     fn a_stage_depends_on_the_values_that_it_reads() {
         let job = Job { scene: Some("a.glb".into()), ..Job::new(DisplayJob::by_name_or_path("fig7-uniform")) };

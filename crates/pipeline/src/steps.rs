@@ -78,9 +78,9 @@ pub fn render_field(
     Ok(RenderedField { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone, references })
 }
 
-/// Reads a light field of any kind, without rounding. Size and angles come from the file, or else
-/// from `display`. If `flags` select only some views, some of the other views are returned as
-/// references for scores.
+/// Reads a light field of any kind, without rounding. Size and angles come from `flags`, or else
+/// from the file, or else from `display`. If `flags` select only some views, some of the other
+/// views are returned as references for scores.
 ///
 /// # Errors
 /// If the light field cannot be read, or its geometry is incomplete.

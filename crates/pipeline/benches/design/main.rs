@@ -147,7 +147,7 @@ fn prediction() -> Outcome {
         "predicted against solved quality, {DESIGNS} random designs: Spearman's rank correlation {correlation:.3}"
     );
     if correlation < LEAST_CORRELATION {
-        return Err(format!("expected at least {LEAST_CORRELATION}").into());
+        return Err(format!("expected a rank correlation of at least {LEAST_CORRELATION}; see above").into());
     }
     Ok(())
 }
@@ -182,7 +182,7 @@ fn killing() -> Outcome {
     };
     // Sweep once without interruption, as the reference.
     if !start(&whole)?.wait()?.success() {
-        return Err("the sweep fails".into());
+        return Err("the uninterrupted sweep ended with an error; expected it to finish".into());
     }
     // Kill the process as soon as the folder has the wanted number of designs.
     let done = || {
@@ -210,7 +210,7 @@ fn killing() -> Outcome {
     }
     for name in ["sweep.csv", "sweep.json"] {
         if std::fs::read(whole.join(name))? != std::fs::read(killed.join(name))? {
-            return Err(format!("{name} differs after {kills} kills").into());
+            return Err(format!("{name}: expected the bytes of the first sweep, found others ({kills} kills)").into());
         }
     }
     println!("100 designs, killed {kills} times: the table has the same bytes as without kills");

@@ -38,8 +38,8 @@ impl Options {
         let mut options = Self { size: [420, 262], samples: 128, turn_deg: 0.0 };
         let mut words = words.iter();
         while let Some(&word) = words.next() {
-            let value = words.next().ok_or_else(|| format!("{word} needs a value"))?;
-            let wrong = || format!("{word}: invalid value {value}");
+            let value = words.next().ok_or_else(|| format!("{word}: expected a value, found none"))?;
+            let wrong = || format!("{word}: expected a number, or COLSxROWS for --size, found {value}");
             match word {
                 "--samples" => options.samples = value.parse().map_err(|_| wrong())?,
                 "--turn" => options.turn_deg = value.parse().map_err(|_| wrong())?,
@@ -47,7 +47,7 @@ impl Options {
                     let (cols, rows) = value.split_once('x').ok_or_else(wrong)?;
                     options.size = [cols.parse().map_err(|_| wrong())?, rows.parse().map_err(|_| wrong())?];
                 }
-                _ => return Err(format!("unknown option {word}")),
+                _ => return Err(format!("expected --size, --samples or --turn, found {word}")),
             }
         }
         Ok(options)
@@ -61,7 +61,7 @@ pub fn all(scenes: &Path, out: &Path, options: &Options) -> Outcome {
     find(scenes, &mut files)?;
     files.sort();
     if files.is_empty() {
-        return Err(format!("{} holds no glTF or USD file", scenes.display()));
+        return Err(format!("{}: expected glTF or USD files, found none", scenes.display()));
     }
     let registry = plugins(&[]).map_err(text)?;
     // If a file fails, `ours.json` has its message, and the next file follows.
@@ -165,7 +165,8 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
     }))
 }
 
-/// Rotates the window about its vertical axis by `degrees`; positive angles turn it to the right.
+/// Rotates the window about its vertical axis by `degrees`. With a positive angle, the scene looks
+/// as if the viewer walked to the right.
 fn turned(window: &Window, degrees: f64) -> Window {
     let map = window.scene_from_display;
     let rotation = map.rotation * DQuat::from_rotation_y(degrees.to_radians());

@@ -52,7 +52,7 @@ pub struct DisplaysComparison {
 /// If the run has no nodes or no target, or files cannot be read or written.
 pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Result<DisplaysComparison, PipelineError> {
     if run.is_dir() && !run.join("job.toml").exists() {
-        return Err(PipelineError::value(run, "folder", "a run, with job.toml in it", "no job.toml in it"));
+        return Err(PipelineError::value(run, "folder", "a run, with job.toml in it", "a folder without job.toml"));
     }
     let job = Job::load(&run.join("job.toml"))?;
     if job.nodes.is_empty() {

@@ -1,8 +1,8 @@
 //! Compares a photograph of panels with the simulation of their run.
 //!
 //! The homography of the display's four corners rectifies the photograph. A factor g adapts its
-//! exposure to the simulation. The factor minimizes Σ (g p − s)² over the values p of the
-//! photograph and s of the simulation, in linear light and without clipped pixels:
+//! exposure to the simulation. The factor minimizes Σ (g p − s)², where p are the values of the
+//! photograph and s those of the simulation. The values are linear; clipped pixels are excluded:
 //!
 //! ```text
 //! g = Σ s p / Σ p²

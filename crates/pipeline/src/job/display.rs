@@ -27,9 +27,9 @@ pub struct DisplayJob {
     /// proportion; the width in millimetres stays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[usize; 2]>,
-    /// Views that sample the viewing zone: `"auto"` for as many as the display needs,
-    /// `[horizontal, vertical]` counts, or `{ step = [x, y] }` for views at multiples of these
-    /// slopes.
+    /// Views that sample the viewing zone. `"auto"` selects the number that the display needs.
+    /// `[horizontal, vertical]` are numbers of views. `{ step = [x, y] }` selects views at
+    /// multiples of these slopes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub views: Option<Views>,
     /// Field of view, `[horizontal, vertical]` full angles in degrees.
@@ -50,20 +50,20 @@ pub struct DisplayJob {
 }
 
 impl DisplayJob {
-    /// Interprets a user's text as the name of a preset. If it ends with `.toml` or contains a
-    /// slash, it is the path of a file.
+    /// Interprets a user's text. A text that ends with `.toml`, or contains `/` or `\`, is the path
+    /// of a display file. Any other text is the name of a preset.
     pub fn by_name_or_path(text: impl AsRef<OsStr>) -> Self {
         let path = Path::new(text.as_ref());
         match path.to_str() {
             Some(name) if !(name.ends_with(".toml") || name.contains(['/', '\\'])) => {
                 Self { preset: Some(name.into()), ..Default::default() }
             }
-            // Names of presets are UTF-8, so any other text is a path.
+            // Names of presets are UTF-8, so a text that is not UTF-8 is also a path.
             _ => Self { file: Some(path.to_owned()), ..Default::default() },
         }
     }
 
-    /// Loads the display and changes its values.
+    /// Loads the preset or the display file, and applies the other values of this table.
     ///
     /// # Errors
     /// The errors of [`Job::resolve_display`](super::Job::resolve_display).
@@ -79,7 +79,8 @@ impl DisplayJob {
         self.changed(&place, display)
     }
 
-    /// Changes the values of a display; errors name `place`.
+    /// Applies the values of this table to a display. `place` is the display's preset or file, for
+    /// errors.
     ///
     /// # Errors
     /// If a changed value is out of range.

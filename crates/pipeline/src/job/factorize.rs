@@ -120,7 +120,8 @@ impl FactorizeJob {
     /// Checks `tiles` and `tile_mib`.
     ///
     /// # Errors
-    /// If a number is out of range, both keys are given, or the device is a graphics processor.
+    /// If a number is out of range, both keys are given, or one of the keys is given and the device
+    /// is a graphics processor.
     pub(crate) fn check_tiles(&self) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         if self.tiles.is_some() || self.tile_mib.is_some() {

@@ -44,7 +44,7 @@ pub struct SourceJob {
     /// Number of the time step; in a sequence, of the first time step.
     #[serde(default, skip_serializing_if = "is_default")]
     pub time: u64,
-    /// Time of the time step, seconds.
+    /// Time of the time step, seconds; in a sequence, of the first time step.
     #[serde(default, skip_serializing_if = "is_default")]
     pub time_s: f64,
     /// Parameters of the plugin.
@@ -92,8 +92,8 @@ pub struct OutputJob {
     /// Name of the output's folder; default: the plugin's id.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Input of the output: `light_field` or the id of a node. Default: the node, if there is only
-    /// one.
+    /// Input of the output: `light_field` or the id of a node. Default: the patterns, if the job
+    /// has at most one node.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
     /// Parameters of the plugin.

@@ -22,8 +22,8 @@ pub struct SequenceJob {
     /// Shift of the window from the first time step to the last, `[x, y, z]` in display space at
     /// the first time step, millimetres.
     pub shift_mm: [f64; 3],
-    /// Time of the scene's animations between the first time step and the last, seconds. The first
-    /// time step is at `pose.time_s`, or at 0.
+    /// Duration from the first time step to the last, seconds, for the animations of a scene or for
+    /// a source. The first time step is at `pose.time_s` or `source.time_s`; both are 0 by default.
     pub duration_s: f64,
     /// If true, every time step has a full report. The report of the sequence is always written.
     pub reports: bool,
@@ -74,7 +74,7 @@ impl SequenceJob {
         }
         // Keys that have no effect for this input are mistakes, so they are errors.
         if (self.turn_deg != 0.0 || self.shift_mm != [0.0; 3]) && !has_scene {
-            return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "them without a scene".into());
+            return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "these keys without a scene".into());
         }
         if self.duration_s != 0.0 && has_light_field {
             let expected = "`duration_s` for a scene or a source only";
@@ -87,7 +87,7 @@ impl SequenceJob {
         if let Some(times) = self.warm_up_times
             && !self.chunk_times.is_some_and(|chunk| (1..=chunk).contains(&times))
         {
-            return fail("sequence.warm_up_times", "1 to `chunk_times`", times.to_string());
+            return fail("sequence.warm_up_times", "1 to `chunk_times`, which must be set", times.to_string());
         }
         if !self.duration_s.is_finite() {
             return fail("sequence.duration_s", "a finite time", self.duration_s.to_string());

@@ -48,7 +48,7 @@ pub struct SweepJob {
 #[serde(default, deny_unknown_fields)]
 pub struct SearchJob {
     /// Maximum distance from the rearmost to the frontmost component, millimetres. The components
-    /// are the layers and the backlight.
+    /// are the layers and a directional backlight.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_thickness_mm: Option<f64>,
     /// Maximum refresh rate of the panels, Hz. All frames together must be shown 60 times a second.

@@ -26,8 +26,8 @@ impl LiveFolder {
     /// Locks a folder and prepares it for the run.
     ///
     /// # Errors
-    /// If another run uses the folder, a file of another program is in the way, or an input is
-    /// among the files that are written.
+    /// If another run uses the folder, or the run would replace a file of another program or an
+    /// input.
     pub fn lock(dir: &Path, job: &Job, registry: &Registry, task: Task<'_>) -> Result<Self, PipelineError> {
         let owned = folder::lock(dir, Work::Run, job, registry, task)?;
         Ok(Self { dir: dir.to_owned(), _owned: owned })
@@ -57,7 +57,7 @@ impl LiveFolder {
         write_display(&dir.join("display.toml"), &target.display)?;
         lumistack_field_io::write_field(&dir.join("target"), &target.field, &Map::new()).map_err(field_error)?;
         lumistack_field_io::write_stack(&dir.join("layers"), &target.display, &state.stack).map_err(field_error)?;
-        // The report measures the views near the viewers.
+        // The report has the solver's weights, which are large near the viewers.
         let weights = state
             .boxes
             .weights(target.field.geometry(), &target.weights)

@@ -57,7 +57,7 @@ pub(super) struct Radiance {
 }
 
 impl Progressive {
-    /// Prepares the target's views. Renders all data that has no noise: the splats, and the
+    /// Prepares the target's views. Renders the data that all passes use: the splats, and the
     /// fraction of each pixel that shows the background.
     ///
     /// # Errors

@@ -9,8 +9,8 @@
 //!
 //! A stamp identifies a result by the content of its inputs, which exists only after the earlier
 //! stages. The keys of this file need only the job and the files that the job names. A run writes
-//! the keys to `cache/steps.json`, where the next plan finds which results are current. With each
-//! key it writes the time of the step, and the files of the scene.
+//! the keys to `cache/steps.json`, where the next plan finds which results are current. The run
+//! also writes the time of each step, and the files of the scene.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -46,8 +46,8 @@ use crate::store::stamps::Stamps;
 const FILE: &str = "cache/steps.json";
 /// Number of hexadecimal digits that a plan shows of a key.
 const DIGITS: usize = 16;
-/// Mean number of rays per pixel that the zone score traces for a direction. The number includes
-/// the rays of both renders of the direction.
+/// Mean number of rays per pixel that a zone score with 64 directions traces for a direction. The
+/// number includes the rays of both renders of the direction.
 const SCORE_SAMPLES: f64 = 6.5;
 
 /// Record of an executed step.
@@ -126,7 +126,7 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
         };
         let (work, memory_bytes) = (work(plan, index, &sizes), memory(plan, index, &sizes));
         // The rate comes from this step's last execution, or else from another step of the same
-        // stage.
+        // stage, or else from the calibration.
         let own = record.filter(|record| record.seconds.is_some());
         let stage = plan.steps[index].stage;
         let alike = || {
@@ -140,7 +140,8 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     }
 }
 
-/// Computes the key of every step. The key is `None` if the scene's files are not known yet.
+/// Computes the key of every step. The key is `None` if a file or plugin that it depends on is not
+/// known yet, or cannot be read.
 fn keys(plan: &Plan, records: &Records, registry: &Registry) -> Vec<Option<String>> {
     let ids = plan.indices();
     let mut keys: Vec<Option<String>> = Vec::new();
@@ -173,8 +174,8 @@ fn settings(plan: &Plan, part: usize) -> Job {
     job
 }
 
-/// Adds the content of the files that a step reads to the step's key. Returns `None` if the files
-/// are not known.
+/// Adds the content of the files and plugins that a step reads to the step's key. Returns `None` if
+/// one of them is not known or cannot be read.
 fn add_content(
     key: &mut KeyBuilder,
     plan: &Plan,
@@ -235,7 +236,8 @@ fn add_files(key: &mut KeyBuilder, path: &Path) -> Option<()> {
     })
 }
 
-/// Returns true if the run folder has the unchanged files of a result.
+/// Returns true if the run folder has the files of a result. Files with a stamp must be unchanged;
+/// for other files, this function checks only that they exist.
 fn is_there(plan: &Plan, index: usize) -> bool {
     let step = &plan.steps[index];
     let dir = plan.folder.join(&step.folder);
@@ -273,7 +275,8 @@ struct Sizes {
     /// Number of values in the patterns of all frames.
     values: f64,
     frames: f64,
-    /// Time of the solver for each ray, layer and frame, in the time for a uniform backlight.
+    /// Time of the solver for each ray, layer and frame, as a multiple of the time for a uniform
+    /// backlight.
     solver_times: f64,
     /// Number of paths of the measurement that chooses the number of samples.
     measured_paths: f64,
@@ -321,6 +324,7 @@ impl Sizes {
         let count = |grid: &Option<ViewGrid>| grid.as_ref().map_or(0, |grid| grid.iter().count());
         let area = |[cols, rows]: [usize; 2]| (cols * rows) as f64;
         let frames = display.frames as f64;
+        // A given light field has no further light fields for the report.
         let others = match &job.light_field {
             Some(_) => [None, None],
             None => [held_out_grid(&geometry.grid, job.render.held_out), geometry.grid.outside(job.render.outside)],
@@ -401,6 +405,7 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     // Each ray through splats has no noise, so one ray per pixel is enough.
     let is_capture = job.scene.as_deref().is_some_and(is_capture);
     let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
+    // Count paths, rays or solver updates, in the unit of the stage.
     match step.kind {
         StepKind::Ingest => 1.0,
         StepKind::Place => PLACE + MEASURED_TIMES * sizes.measured_paths,
@@ -467,20 +472,20 @@ const EXPOSURE: f64 = (64 << 20) as f64;
 /// Bytes of the program itself: its code, libraries and threads, and memory that the allocator
 /// keeps.
 const PROGRAM: f64 = (80 << 20) as f64;
-/// Number of views that one thread has in memory at a time.
+/// Maximum number of views that one thread has in memory.
 const VIEWS_IN_WORK: f64 = 8.0;
 /// Time of the filter `shared`, divided by the time of the other filters. Measured with 169 views
 /// of 420 × 262 pixels.
 const SHARED_SHARE: f64 = 0.1;
 /// Time of the solver for a directional backlight, divided by its time for a uniform one.
 const DIRECTIONAL_TIMES: f64 = 8.0;
-/// Time to place the window, in the time of a path.
+/// Time to place the window, as a multiple of the time of a path.
 const PLACE: f64 = 1e5;
 /// Time of the measurement that chooses the number of samples, divided by the time of its paths.
 /// The measurement also solves and compares.
 const MEASURED_TIMES: f64 = 1.5;
-/// Time of views with further paths, divided by the time of the same views without them. Both share
-/// light. Measured factors are between 1.5 and 2.2 (docs/ZONE.md).
+/// Time of views that share light and get further paths, divided by the time of the same views
+/// without further paths. Measured factors are between 1.5 and 2.2 (docs/ZONE.md).
 const FURTHER_TIMES: f64 = 1.8;
 /// Largest number of values per pixel of a view while the view gets further paths. These are the
 /// values of its first paths, of the further paths, and of all paths together.

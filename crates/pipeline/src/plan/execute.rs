@@ -1,8 +1,8 @@
 //! Executes plans step by step. Each step finds the results of its inputs in memory.
 //!
-//! A result is dropped from memory after the last step that reads it. If an input's result is not
-//! in memory, the input's step is executed first. If the run folder has the current result of the
-//! input's step, this step only reads the result. So a process can execute any single step.
+//! A result is dropped from memory after the last step that reads it. If an input is not in memory,
+//! the step that makes this input is executed first. If the run folder has the current result of
+//! that step, it is only read. So a process can execute any single step.
 
 pub(crate) mod check;
 pub(crate) mod context;
@@ -138,7 +138,7 @@ impl<'a> Executor<'a> {
     }
 
     /// Executes one block of a step: solves one tile of the patterns in a round, or traces some
-    /// pictures. Tracing needs only the scene and its placement.
+    /// pictures. Tracing needs only the scene and the placed window.
     fn run_block(&mut self, index: usize, block: Block, round: Option<usize>) -> Result<(), PipelineError> {
         let plan = self.context.plan;
         let step = &plan.steps[index];

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! `nodes/ID` has the layout of a run folder (display.toml, layers, report), without the light
-//! field, which nodes share. A job without nodes is a still.
+//! field, which nodes share. A job without nodes has the steps of `still.rs`.
 
 use lumistack_display::{Display, FieldGeometry};
 

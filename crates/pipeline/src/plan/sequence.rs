@@ -1,4 +1,5 @@
-//! Steps of a sequence: one run folder per time step, each with a warm start from the previous one.
+//! Steps of a sequence: one run folder per time step. A time step has a warm start from the
+//! previous one, unless it is the first, begins a chunk, or solves better without a warm start.
 //!
 //! ```text
 //! job ─▶ t0001/ ─layers─▶ t0002/ ─layers─▶ t0003/ ─▶ ...      each folder holds the job of a still
@@ -6,8 +7,7 @@
 //! ```
 //!
 //! A time step of a job with nodes is a graph, in folders such as t0001/nodes/ID, with a warm start
-//! for each node. If a warm start does not help, for example after a cut, the time step starts
-//! without one.
+//! for each node. A warm start does not help after a cut, for example.
 //! [`Times::job`](super::times::Times::job) makes the job of a time step.
 //!
 //! Chunks break the chain of warm starts, so that several machines can solve them in parallel.

@@ -41,7 +41,8 @@ pub(crate) fn add_field(plan: &mut Plan, part: usize, before: Before<'_>) -> Str
     plan.add_step(part, StepKind::Expose, inputs)
 }
 
-/// Adds the step that renders the scene for the zone score, which only reports use.
+/// Adds the step that renders the scene for the zone score, which only reports use. Returns the
+/// step's id; empty without a scene.
 pub(crate) fn add_score(plan: &mut Plan, part: usize, field: &str) -> Vec<String> {
     if plan.parts[part].job.scene.is_none() {
         return Vec::new();
@@ -58,10 +59,11 @@ pub(crate) struct TimeBefore {
     pub(crate) warm_up: Vec<String>,
 }
 
-/// Adds the steps of a display: patterns, outputs, measures and, if `reports` is true, a report.
+/// Adds the steps of a display: patterns, outputs, for a time step also error and flicker, and a
+/// report if `reports` is true.
 ///
-/// The solver starts from the patterns of `before`. Returns two ids: the step of the patterns, and
-/// the last step.
+/// If `before` has no warm-up time steps, the solver starts from its patterns. Returns the ids of
+/// the step that makes the patterns and of the last step.
 pub(crate) fn add_display(
     plan: &mut Plan,
     part: usize,
@@ -104,7 +106,7 @@ pub(crate) fn add_display(
     [patterns, end]
 }
 
-/// Adds the outputs of a part's light field.
+/// Adds the steps that write the outputs of a part's light field. Returns their ids.
 pub(crate) fn add_field_outputs(plan: &mut Plan, part: usize, field: &str) -> Vec<String> {
     let outputs = plan.parts[part].job.outputs.clone();
     let of_field = outputs.iter().enumerate().filter(|(_, output)| output.takes_light_field());

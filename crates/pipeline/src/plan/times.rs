@@ -1,7 +1,7 @@
 //! Time steps of a sequence. Each time step is the job of a still.
 //!
-//! Time steps differ in the file of the light field, in the window if it moves, or in the pose of
-//! an animated scene.
+//! Time steps differ in one or more of these: the file of the light field, the time of a source,
+//! the position of the window, the pose of the scene.
 
 use std::path::{Path, PathBuf};
 
@@ -261,7 +261,7 @@ fn given(window: &Window) -> WindowJob {
 
 /// Returns the path of one light field per time step, sorted by name. The light fields are the
 /// subfolders of `folder`. If `folder` has no subfolders, the light fields are its `.npy` files. If
-/// it has neither, they are its pictures.
+/// `folder` has no `.npy` files either, the light fields are its pictures.
 fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, PipelineError> {
     let error = |source| PipelineError::Read { path: folder.to_owned(), source };
     let mut entries = Vec::new();
@@ -286,7 +286,7 @@ fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, Pip
         None => format!("1 to {} light fields, one per time step", SequenceJob::MOST),
     };
     if paths.len() < wanted || !(1..=SequenceJob::MOST).contains(&wanted) {
-        let found = format!("{} folders, .npy files or pictures", paths.len());
+        let found = format!("{} light fields (folders, .npy files or pictures)", paths.len());
         return Err(PipelineError::value(folder, "content of the folder", expected, found));
     }
     paths.truncate(wanted);
@@ -332,7 +332,7 @@ mod tests {
                 paths.iter().map(|p| p.file_name().unwrap().to_string_lossy().into_owned()).collect::<Vec<_>>()
             })
         };
-        assert!(list(None).unwrap_err().to_string().contains("found 0 folders"));
+        assert!(list(None).unwrap_err().to_string().contains("found 0 light fields"));
         std::fs::write(folder.path().join("notes.txt"), "").unwrap();
         std::fs::write(folder.path().join("a_qs3x3.png"), "").unwrap();
         assert_eq!(list(None).unwrap(), ["a_qs3x3.png"]);

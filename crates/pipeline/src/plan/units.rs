@@ -32,7 +32,8 @@ pub(crate) const FINISH: &str = "finish";
 pub struct BlockSize {
     /// Expected time of a block of pictures, seconds, above 0.
     pub block_seconds: f64,
-    /// Number of blocks of each light field; overrides `block_seconds`.
+    /// Number of blocks of each traced light field, and of its pictures for the zone score; at most
+    /// the number of the target's views. Overrides `block_seconds`.
     pub blocks: Option<usize>,
 }
 
@@ -54,8 +55,8 @@ pub(crate) fn units(plan: &Plan, block_size: BlockSize) -> Vec<Unit> {
 /// Time to join the tiles of a solve, as a fraction of the time of the whole solve.
 const JOIN: f64 = 0.02;
 
-/// Returns the tiles of a still's solve, and the memory of one tile in bytes. `None` if the solve
-/// is not cut, or if only the file of a light field determines the display's size.
+/// Returns the tiles of a still's solve, and the memory of one tile in bytes. `None` if the part is
+/// no still, a plugin makes its patterns, its job has no tiles, or its light field is not rendered.
 fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
     let field_part = plan.field_part(part);
     let (job, of_field) = (&plan.parts[part].job, &plan.parts[field_part].job);
@@ -91,8 +92,8 @@ impl<'a> Cutter<'a> {
             StepKind::Place if !matches!(self.plan.parts[step.part].kind, PartKind::Time(_)) => UnitKind::Place,
             StepKind::Trace => return self.add_blocks(step, UnitKind::Views, step.inputs.clone()),
             StepKind::Score => {
-                // Directions of the zone score depend only on the display, so units that render the
-                // score's pictures do not wait for the light field.
+                // Directions of the zone score depend only on display and job, so units that render
+                // the score's pictures do not wait for the light field.
                 let place =
                     self.plan.steps.iter().filter(|other| other.part == step.part && other.kind == StepKind::Place);
                 return self.add_blocks(step, UnitKind::Score, place.map(|step| step.id.clone()).collect());

@@ -5,9 +5,9 @@
 //! cache/views/target-KEY/guided/view_YY_XX.exr       filtered; figures.json is written last
 //! ```
 //!
-//! A stopped run continues from its finished halves, and another filter needs no new rendering. For
-//! the filter `shared`, the path tracer writes two kinds of light separately: light that views
-//! share, and all other light. The files of a view are then not two halves but one
+//! A stopped run continues from its finished views. The filters `guided` and `oidn` use the same
+//! halves. For the filter `shared`, the path tracer writes two kinds of light separately: light
+//! that views share, and all other light. The files of a view are then not two halves but one
 //! `split_YY_XX.exr`.
 
 mod oidn;
@@ -33,21 +33,21 @@ use crate::store::views::{read_split, read_view, split_path, view_path, write_vi
 /// Returns the version of Open Image Denoise that the denoiser `oidn` uses.
 ///
 /// # Errors
-/// If it is not installed. The message lists where it was searched.
+/// If Open Image Denoise is not found. The message lists the searched places.
 pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
 
-/// To check a filter, some pixels are rendered again. Each of these renders has this many times the
-/// paths of a view.
+/// To check a filter, some pixels are rendered again. Each of these renders has the number of paths
+/// of a view, multiplied by this factor.
 const CHECK_FACTOR: u32 = 2;
-/// Maximum number of views whose pixels are rendered again to check a filter. So many views, spread
-/// over the viewing zone, suffice to judge a filter.
+/// Maximum number of views whose pixels are rendered again to check a filter. This number of views,
+/// spread over the viewing zone, suffices to judge a filter.
 const CHECKED_VIEWS: usize = 25;
 /// Maximum number of samples of the path tracer.
 const MOST_SAMPLES: u32 = 65536;
 
-/// How a denoiser changed the target.
+/// The effect of a denoiser on the target, for the report.
 pub(crate) struct Denoised {
     kind: Denoise,
     /// Scores of each view, in the order of the grid, for exposed radiance.
@@ -125,7 +125,8 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
         Denoise::Oidn => by_oidn(field, shot, &folder)?,
         _ => by_guides(field, shot, task)?,
     };
-    // Render some pixels of the views again, to measure noise and bias of the filter.
+    // Filter each view. Render some pixels of some of the target's views again, to measure noise
+    // and bias of the filter.
     let settings = field.seeded(&[]);
     let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
     let mut written = Vec::new();
@@ -171,8 +172,9 @@ fn middle(geometry: &FieldGeometry) -> [usize; 2] {
     geometry.grid.views().map(|count| count / 2)
 }
 
-/// Returns a view before and after the filter. The first two arguments are the view's number and
-/// its grid position. All views together are large, so only the guided filter keeps them in memory.
+/// A function that returns a view before and after the filter. Its first two arguments are the
+/// view's number and grid position. All views together are large, so only the guided filter keeps
+/// them in memory.
 type Filtered<'a> = Box<dyn Fn(usize, [usize; 2], Task<'_>) -> Result<[Tensor<3>; 2], PipelineError> + Sync + 'a>;
 
 /// Averages the light that views share. Keeps the light in memory if the job allows this for the
@@ -233,8 +235,8 @@ fn by_guides<'a>(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<Fil
     Ok(Box::new(move |number, _, _| Ok([views[number].mean(), filtered[number].clone()])))
 }
 
-/// Filters the views by Open Image Denoise, through files in a temporary folder. The program uses
-/// all cores, so it never filters two views at the same time.
+/// Filters the views by Open Image Denoise, through files in a temporary folder. Open Image Denoise
+/// uses all cores, so the views are filtered one after another.
 fn by_oidn<'a>(field: &'a FieldJob, shot: Shot<'a>, folder: &Path) -> Result<Filtered<'a>, PipelineError> {
     let oidn = Oidn::find()?;
     let exchange = Mutex::new(tempfile::tempdir_in(folder).map_err(PipelineError::write(folder))?);

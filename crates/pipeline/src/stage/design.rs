@@ -71,8 +71,8 @@ impl Shared {
     }
 }
 
-/// Converts the settings of the first time step to the settings of later time steps: [with a warm
-/// start, without a warm start].
+/// A function that converts the settings of the first time step to those of later time steps: [with
+/// a warm start, without a warm start].
 pub(crate) type Later = Box<dyn Fn(&FactorizeJob) -> [FactorizeJob; 2] + Send + Sync>;
 
 /// Solves designs and writes their rows.
@@ -143,8 +143,8 @@ impl Solver<'_> {
         Ok((row, name, false))
     }
 
-    /// Returns the display of a design. If the light field is read from a file, the display is
-    /// adapted to the geometry of that light field.
+    /// Returns the display of a design. If the light field is not rendered, the display is adapted
+    /// to the geometry of the light field.
     fn display_on(&self, candidate: &Candidate, shared: &Shared) -> Result<Display, PipelineError> {
         match (&self.job.scene, shared.times.first()) {
             (None, Some(first)) => {
@@ -185,8 +185,8 @@ impl Solver<'_> {
         })
     }
 
-    /// Solves a display for all time steps. Each time step starts from the patterns of the previous
-    /// one.
+    /// Solves a display for all time steps. The solver starts each time step from the patterns of
+    /// the previous time step, unless a fresh start is better.
     fn times(
         &self,
         of_node: Option<&NodeJob>,

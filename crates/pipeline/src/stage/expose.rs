@@ -71,7 +71,8 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         }
         radiance.push(field);
     }
-    // Choose exposure and tone curve by the views of the target. They apply to all light fields.
+    // Choose exposure and tone curve by the target's views. All light fields get this exposure and
+    // tone curve.
     let tone_mapping = if linear {
         ToneMapping { exposure: 1.0, curve: ToneCurve::Linear }
     } else {

@@ -39,7 +39,7 @@ pub(crate) struct Solve<'a> {
 }
 
 impl Solve<'_> {
-    /// Returns a hash of everything that the patterns depend on.
+    /// Returns a key of everything that the patterns depend on; the caller finishes it.
     pub(crate) fn key(&self, warm: Option<&LayerStack>, site: &SolverDevice) -> KeyBuilder {
         let Self { job, seed, display, target, weights } = *self;
         let mut key = KeyBuilder::new("factorize", code::PATTERNS);

@@ -81,8 +81,9 @@ impl Shot<'_> {
     /// are in a folder inside `cache_dir`. `blender` is true if Blender renders the views.
     pub(crate) fn fields(&self, cache_dir: &Path, blender: bool) -> Vec<FieldJob> {
         let (job, geometry, settings) = (self.job, self.geometry, self.settings());
-        // Each view for the report is averaged over a range of slopes. This range is as wide as a
-        // bin of the target's grid, not a bin of the view's own grid.
+        // The target's views may be averaged over their bins of slopes. Then views of the other
+        // light fields are averaged over ranges of the same width, not over bins of their own
+        // grids.
         let settings_of_others = Settings {
             angular_filter: match settings.angular_filter {
                 lumistack_pathtracer::AngularFilter::Bin => {

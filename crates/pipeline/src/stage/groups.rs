@@ -2,19 +2,19 @@
 //!
 //! Many threads trace a view together, but a single thread reads, hashes or writes the view's file.
 //! On a machine with 16 cores, views that were handled one by one kept 5.5 cores busy (625 views of
-//! 840 × 525 pixels). So a group of views is in work together. The size of the group bounds the
-//! memory.
+//! 840 × 525 pixels). So the views of a group are handled at the same time. The size of the group
+//! bounds the memory.
 
 use lumistack_core::{Collector, Task};
 use rayon::prelude::*;
 
 use crate::error::PipelineError;
 
-/// Largest number of views in work at the same time. More views take more memory, and hardly less
-/// time.
+/// Largest number of views that are handled at the same time. More views take more memory, and
+/// hardly less time.
 const MOST: usize = 8;
 
-/// Returns the number of views that are in work at the same time.
+/// Returns the number of views that are handled at the same time.
 pub(crate) fn views_at_once() -> usize {
     rayon::current_num_threads().min(MOST)
 }

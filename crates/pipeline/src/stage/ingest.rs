@@ -26,7 +26,8 @@ use crate::store::plugin_files::plugin_key;
 pub struct Ingested {
     /// The scene and its lights.
     pub scene: Arc<Scene>,
-    /// All files that were read, each with a hash of its content.
+    /// All files that were read, each with a hash of its content. An importer, Blender, and data in
+    /// memory also have entries, with a name instead of a path.
     pub files: Vec<(PathBuf, String)>,
     /// Pose and variants that were selected.
     pub pose: PoseJob,
@@ -62,8 +63,8 @@ impl Ingested {
         }
     }
 
-    /// Returns the animations, variants and similar choices in the file. Reads the file only if its
-    /// reader has not listed them.
+    /// Returns the animations, variants and similar choices in the file. Reads the file again if
+    /// the choices were not listed when the scene was loaded.
     ///
     /// # Errors
     /// The errors of [`scene_contents`].
@@ -155,9 +156,9 @@ fn gltf_bytes(
     lumistack_plugin_host::import_scene(registry, id, &params, &file, &read, task).map_err(host_error)
 }
 
-/// Loads a scene in its pose, with the environment of the job. A scene without any light gets
-/// studio light. Files that are neither glTF, USD nor `.blend` need an importer. Conversions by
-/// other programs are kept in `cache_dir`.
+/// Loads a scene in its pose, with the environment of the job. With `light.automatic`, meshes
+/// without light get studio light. Files that are neither glTF, USD nor `.blend` need an importer.
+/// Conversions by Blender are kept in `cache_dir`.
 ///
 /// # Errors
 /// If a file cannot be read, no importer accepts it, or the scene cannot be rendered.
@@ -208,7 +209,8 @@ pub fn ingest_scene(
 }
 
 /// Checks that a job's scene has a reader and, for glTF, the camera that the job names. Other
-/// readers need another program, so their cameras are checked when the scene is read.
+/// readers may need another program or a plugin, so their cameras are checked when the scene is
+/// read.
 ///
 /// # Errors
 /// If the scene has no reader or no such camera, or a glTF file cannot be read.
@@ -313,7 +315,7 @@ fn load_blend(
     let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     let given = [("animation", animation), ("variant", variant), ("variants", variants.into_iter().next())];
     if let Some((key, found)) = given.into_iter().find_map(|(key, given)| Some((key, given?))) {
-        let expected = "none: a .blend file is converted in the state that it has in Blender at `pose.time_s`";
+        let expected = "none, since a .blend file is converted in the state that it has in Blender at `pose.time_s`";
         return Err(PipelineError::value(path, format!("pose.{key}"), expected, found));
     }
     let HandedOver { glb, account } = handover::hand_over(path, time_s, cache_dir, task)?;

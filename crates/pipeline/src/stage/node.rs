@@ -34,9 +34,9 @@ pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineE
     Ok(())
 }
 
-/// Returns the display of a node for a light field of this geometry: `of_job`, adapted to this
-/// geometry, if the node names a display, or else `shared`. Also returns a text that describes how
-/// the backlight of `of_job` was adapted.
+/// Returns the display of a node for a light field of this geometry. If the node names a display,
+/// this is `of_job`, adapted to the geometry, and a text describes a change of its backlight.
+/// Otherwise it is `shared`.
 ///
 /// # Errors
 /// If the display cannot show the light field.

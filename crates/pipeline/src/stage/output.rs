@@ -83,9 +83,9 @@ pub(crate) fn stage_name(output: &OutputJob) -> String {
     }
 }
 
-/// Writes an output into the folder `relative`, a path relative to the run folder, unless its files
-/// are current. Returns true if they were current. If the output fails, the result has the message,
-/// and the run continues.
+/// Writes an output into the folder `relative`, a path relative to the folder of `stamps`, unless
+/// the output's files are current. Returns true if they were current. If the output fails, the
+/// result has the message, and the run continues.
 ///
 /// # Errors
 /// If cancelled, or the stamp cannot be written.

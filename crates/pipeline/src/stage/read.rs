@@ -1,5 +1,5 @@
-//! Reads a light field of another renderer, warns about values out of range, and applies the
-//! exposure and tone curve of the job.
+//! Reads a light field of another renderer, applies the exposure and tone curve of the job, and
+//! warns about values out of range.
 
 use std::path::Path;
 
@@ -14,8 +14,8 @@ use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
 /// Reads the light field at `path` for a display. A light field that is larger than the job allows
-/// in memory is kept in an unnamed file in `folder`. Also returns some views that the display does
-/// not use, as many as the report scores.
+/// in memory is kept in an unnamed file in `folder`. Also returns views that the display does not
+/// use, at most `report.zone_directions`.
 ///
 /// # Errors
 /// If the light field cannot be read, or its geometry is incomplete.

@@ -48,7 +48,7 @@ use crate::store::stamps::remembered;
 
 /// Maximum number of sections of the picture. In this code, a section is a `Part`.
 const PARTS: usize = 6;
-/// Maximum fraction of the picture's area that all sections cover.
+/// Maximum fraction of the picture's area that all sections cover. A single section may cover more.
 const MOST_AREA: f64 = 0.25;
 /// Edge of the measured middle of a section, pixels. The margin around it is not measured, since
 /// some of its rays miss the section's layers.
@@ -129,7 +129,7 @@ fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) 
     let parts = parts(display, geometry, shot.window());
     std::fs::create_dir_all(cache_dir).map_err(PipelineError::write(cache_dir))?;
     let place: Place<'_> = (!job.render.is_held(geometry)).then(|| (cache_dir, window_bytes(job)));
-    // Choose the exposure from evenly spread rays of all sections.
+    // The exposure is chosen from evenly spread rays of all sections: every n-th ray.
     let rays: usize = parts.iter().map(Part::rays).sum();
     let every = rays.div_ceil(MOST_RAYS);
     let quiet = Task { progress: &NoProgress, ..task };
@@ -143,7 +143,7 @@ fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) 
         task.progress.advance(1, "");
     }
 
-    // All renders get the same exposure and tone curve. They are chosen as for a whole picture.
+    // All renders get the same exposure and tone curve, chosen as for a whole picture.
     let brightest: Vec<(f32, bool)> =
         halves.iter_mut().flat_map(|[half, _]| std::mem::take(&mut half.brightest)).collect();
     let tone_mapping = ToneMapping::choose(&job.light, &ingested.scene, &brightest);

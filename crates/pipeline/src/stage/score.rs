@@ -1,10 +1,11 @@
 //! Scores a display over its viewing zone: compares seen pictures with pictures of the scene, in
 //! directions that no solver used.
 //!
-//! Every direction is rendered twice with independent seeds, so the score contains no noise
-//! ([`DirectionScore`]). Few samples suffice, since the score averages over all pixels of all
+//! The scene is rendered twice in every direction, with independent seeds, so the score contains no
+//! noise ([`DirectionScore`]). Few samples suffice, since the score averages over all pixels of all
 //! directions. SSIM and FLIP are sensitive to noise, so they need more samples. Therefore only the
-//! first directions, which are spread over the zone, have these two scores.
+//! first directions, which are spread over the zone, have these two scores. A light field that is
+//! not rendered is scored by views that the solver does not use.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -211,7 +212,7 @@ impl References {
         Some((self.directions.iter().cloned().zip(pictures.iter().cloned()), *left_out))
     }
 
-    /// Reads all pictures into memory, since their folder will be removed.
+    /// Reads all pictures into memory, so that the caller may remove their folder.
     ///
     /// # Errors
     /// If a picture is missing.

@@ -74,7 +74,8 @@ impl Tiles {
         self.rounds
     }
 
-    /// Returns the neighbouring tiles whose patterns a tile reads.
+    /// Returns the numbers of the tiles whose patterns a tile reads: the tile itself and its
+    /// neighbours.
     pub(crate) fn around(&self, number: usize) -> Vec<usize> {
         self.tiling.around(number)
     }
@@ -90,9 +91,10 @@ impl Tiles {
         tiling.tile(down / 2 * across + across / 2)
     }
 
-    /// Returns the iterations of a round. A round gets half of the remaining iterations, but leaves
-    /// at least one for each later round. The last round gets all remaining iterations. Patterns
-    /// form in the first round. A short last round leaves only small differences at the borders.
+    /// Returns the iterations of a round. A round gets about half of the remaining iterations, and
+    /// leaves at least one for each later round. The last round gets all remaining iterations.
+    /// Patterns form in the first round. A short last round leaves only small differences at the
+    /// borders.
     fn iterations(&self, job: &FactorizeJob, round: usize) -> std::ops::Range<u32> {
         let all = job.iterations() as usize;
         let left = |round: usize| if round < self.rounds { (all >> round).max(self.rounds - round) } else { 0 };
@@ -338,9 +340,9 @@ impl Work<'_> {
         Ok((lumistack_field_io::read_stack(&layers).map_err(field_error)?, Some(kept)))
     }
 
-    /// Joins the convergence of all tiles. Errors are summed over the rays of all tiles, so a ray
-    /// through two tiles is counted twice. Times are added as if the tiles were solved one after
-    /// the other.
+    /// Joins the convergence of all tiles. Objectives are summed, so a ray through two tiles is
+    /// counted twice. Times are summed as if the tiles were solved one after another. PSNR and KKT
+    /// residual follow from mean squares over the pixels of all tiles.
     fn kept(&self) -> Option<Convergence> {
         let mut all: Option<Convergence> = None;
         let mut before = 0.0;

@@ -135,7 +135,7 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
     } else if let Some(used) = &known {
         kinds.push(("views of other settings", unused_views(&cache, used)));
     }
-    // Blender's conversions stay while they are valid. Placements stay unless `all` is true.
+    // Unless `all` is true, placements stay, and Blender's conversions stay while they are valid.
     let of_kind = |name: &str, wanted: &[&str]| name.rsplit_once('-').is_some_and(|(kind, _)| wanted.contains(&kind));
     let kept = entries(&cache).into_iter();
     let (scenes, placed): (Vec<_>, Vec<_>) = kept

@@ -1,8 +1,8 @@
 //! The lock of a run folder: one owner at a time.
 //!
 //! ```text
-//! cache/lumistack.lock     locked by the operating system during a run, which unlocks it if the
-//!                          owner dies; a folder with this file is from Lumistack
+//! cache/lumistack.lock     locked during a run by the operating system, which unlocks the file if
+//!                          the owner dies; a folder with this file is from Lumistack
 //! cache/owner.json         process and host of the owner, for messages
 //! ```
 //!

@@ -10,7 +10,7 @@ use super::settings::is_written_by_us;
 /// Name of the lock file, in the folder `cache`.
 pub(crate) const LOCK: &str = "lumistack.lock";
 
-/// Kinds of work in a folder. Each kind of work writes files with different names.
+/// Kinds of work in a folder. The names of the written files depend on the kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
     /// A run, with nodes or without.

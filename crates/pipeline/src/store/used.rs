@@ -17,7 +17,8 @@ pub(crate) const USED: &str = "used.json";
 /// Folder of the results of tiles, in the folder `cache`. A finished run does not need these
 /// results.
 pub(crate) const TILES: &str = "tiles";
-/// Names of light fields. For each light field, the cache has folders with names `NAME-KEY`.
+/// Names of light fields, and `zone` for the pictures of the zone score. For each name, the cache
+/// has folders with names `NAME-KEY`.
 const FIELDS: [&str; 4] = ["target", "held-out", "outside", "zone"];
 /// The cached views, light fields and rows that a finished run used.
 #[derive(Default, Serialize, Deserialize)]
@@ -36,7 +37,8 @@ fn code_of_views() -> String {
     KeyBuilder::new("used", code::VIEWS).finish()
 }
 
-/// Records which cached views the run in `dir` used, and removes all other cached views.
+/// Records which cached views the run in `dir` used. Removes all other cached views, and the
+/// results of tiles.
 ///
 /// # Errors
 /// If the list cannot be written.

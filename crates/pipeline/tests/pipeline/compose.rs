@@ -29,8 +29,8 @@ pub(crate) fn job(folder: &Path, head: &str, tables: &[&str]) -> Job {
     Job::load(&path).unwrap()
 }
 
-/// Returns the files in a folder and its subfolders. The cache is left out, and also the reports,
-/// since they contain the durations of the stages.
+/// Returns the files in a folder and its subfolders, without the cache, job files and reports. Job
+/// files contain paths, and reports contain the durations of the stages.
 pub(crate) fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     fn walk(folder: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
         for entry in std::fs::read_dir(folder).unwrap() {

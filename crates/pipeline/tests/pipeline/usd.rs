@@ -79,6 +79,7 @@ def Camera "above"
 /// Returns a scene of a glowing panel above a dark floor. Both materials have a shader with this
 /// `id`. `color` and `rough` are the names of inputs, and `glow` sets the emission of the panel.
 fn lit_room(id: &str, color: &str, rough: &str, glow: &str) -> String {
+    // A material has a shader, and a picture that may scale the shader's emission.
     let material = |name: &str, inputs: &str| {
         format!(
             r#"
@@ -108,6 +109,7 @@ def Material "{name}"
 "#
         )
     };
+    // A square is horizontal; `half` is half of its edge.
     let square = |name: &str, half: f32, height: f32| {
         format!(
             r#"

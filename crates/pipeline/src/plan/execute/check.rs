@@ -20,7 +20,7 @@ impl Context<'_> {
         for (number, part) in plan.parts.iter().enumerate() {
             // Skip time steps, since their settings are checked with the sequence. Skip the nodes
             // of later time steps, since they have the settings of the first time step's nodes.
-            // Skip sweeps, since `Designs` checks their designs.
+            // Skip sweeps, since `sweep::add` has checked their designs.
             let job = &part.job;
             match (&part.kind, part.parent) {
                 (PartKind::Time(_), _) => continue,
@@ -37,7 +37,8 @@ impl Context<'_> {
             factorize::check(&job.factorize)?;
             plugins(job, self.registry)?;
             check_folder(&self.dir(number))?;
-            // Open the outputs, so that their plugins refuse displays that they cannot show.
+            // Open the outputs of a scene, so that their plugins refuse displays that they cannot
+            // show. For other inputs, the step that reads or makes the light field opens them.
             if job.scene.is_some() && !matches!(part.kind, PartKind::Node(_)) {
                 self.open_outputs(
                     job,
@@ -50,7 +51,8 @@ impl Context<'_> {
     }
 }
 
-/// Checks that the plugins of a job exist, and that they accept their parameters.
+/// Checks that the source, output and node plugins of a job exist, and that they accept their
+/// parameters.
 ///
 /// # Errors
 /// The first plugin or parameter that is wrong.

@@ -104,7 +104,7 @@ impl<'a> Context<'a> {
         Stamps::new(&self.dir(part))
     }
 
-    /// Returns the cache folder of a part. A sequence uses the folder of its first time step.
+    /// Returns the cache folder of a part. A sequence uses the cache folder of its first time step.
     pub(super) fn cache(&self, part: usize) -> PathBuf {
         match self.plan.parts[part].kind {
             PartKind::Sequence(_) => self.dir(part).join(name(0)).join("cache"),

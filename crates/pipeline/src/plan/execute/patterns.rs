@@ -33,9 +33,8 @@ impl Context<'_> {
         }
         let weights = field::weights(&job.factorize, field.target.geometry())?;
         let target = &field.target;
-        // Solve, or read the cached patterns. If the content of a time step differs too much from
-        // the content of the previous time step, the solver does not start from the previous
-        // patterns.
+        // Solve, or read the cached patterns. If the content changes too much between two time
+        // steps, the solver does not start from the previous patterns.
         let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
             Some(node) => {
                 let given = NodeInput { node, seed: job.seed, display: &display, target, weights: &weights };
@@ -99,8 +98,9 @@ impl Context<'_> {
         tiles::run_tile(cut, [round, block.number(), block.count()], &stamps, task)
     }
 
-    /// Returns the display of a part, adapted to the light field. `shared` is the display of the
-    /// run's job.
+    /// Returns the display of a part. If the part is a node with its own display, this is the
+    /// node's display, adapted to the light field. Otherwise it is `shared`, the display of the
+    /// job.
     fn display(
         &mut self,
         part: usize,
@@ -147,8 +147,8 @@ impl Context<'_> {
         Ok(())
     }
 
-    /// Returns settings with which a time step is solved without a warm start; `None` for the first
-    /// time step.
+    /// Returns the settings with which a time step is solved without a warm start. `None` for the
+    /// first time step, and outside of a sequence.
     fn fresh(&self, part: usize) -> Option<FactorizeJob> {
         let (time, sequence) = self.plan.time(part)?;
         match &self.plan.parts[sequence].kind {

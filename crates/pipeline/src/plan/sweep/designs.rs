@@ -46,8 +46,8 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
                         DisplayJob { fov_deg: variation.fov_deg.or(display_job.fov_deg), ..display_job.clone() };
                     let mut of = Job { display: shown, sweep: None, outputs: Vec::new(), ..job.clone() };
                     of.render.outside = 0;
-                    // All designs must show the same depth, so no design may compress the depth of
-                    // the scene.
+                    // All designs must show the same depth, so the depth of the scene is not
+                    // compressed automatically.
                     if of.window.fit_depth == FitDepth::Auto {
                         of.window.fit_depth = FitDepth::Off;
                     }

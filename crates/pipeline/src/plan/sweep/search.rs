@@ -25,7 +25,8 @@ const DROP_DB: f64 = 8.0;
 /// Returns the candidates that satisfy the constraints.
 ///
 /// # Errors
-/// If no candidate satisfies them. The message states the best value of each constrained quantity.
+/// If no candidate satisfies them. The message states the best thickness, refresh rate, number of
+/// panels and β of all candidates.
 pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<Vec<Candidate>, PipelineError> {
     let fits = |d: &Design| {
         // A single frame does not flicker at any refresh rate, so its `refresh_hz` is 0.
@@ -47,7 +48,7 @@ pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<
     );
     let kept: Vec<Candidate> = candidates.into_iter().filter(|candidate| fits(&candidate.design)).collect();
     if kept.is_empty() {
-        return Err(PipelineError::job("sweep.search", "constraints that at least one design keeps", found));
+        return Err(PipelineError::job("sweep.search", "constraints that at least one design satisfies", found));
     }
     Ok(kept)
 }

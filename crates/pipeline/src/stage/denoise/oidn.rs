@@ -1,7 +1,7 @@
 //! Intel's Open Image Denoise, if it is installed. Its program `oidnDenoise` runs once per view.
 //!
-//! The environment variable `LUMISTACK_OIDN` may give the program's path. Otherwise the program is
-//! searched on PATH, and then in the Python package `pyoidn`, which includes it. Pictures are
+//! The environment variable `LUMISTACK_OIDN` may give the program's path. Otherwise this module
+//! searches PATH, and then the Python package `pyoidn`, which includes the program. Pictures are
 //! exchanged as PFM files: three little-endian floats per pixel, the lowest row first.
 
 use std::path::{Path, PathBuf};

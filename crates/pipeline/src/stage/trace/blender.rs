@@ -15,13 +15,13 @@ use crate::reader::is_blend;
 use crate::stage::ingest::Ingested;
 use crate::store::views::write_picture;
 
-/// Chooses the renderer of a job's views. Warns about features that the conversion lost, or reports
-/// the reason for the choice.
+/// Chooses the renderer of a job's views. If the conversion of a `.blend` file loses features,
+/// warnings state these features and the reason for the choice, unless the job names `blender`.
 ///
-/// If the job names an engine, it is used. With `auto`, our path tracer renders, with one
+/// If the job names an engine, that engine renders. With `auto`, our path tracer renders, with one
 /// exception: the engine of a `.blend` file renders if the conversion loses features of the scene.
-/// That engine must work on this machine, and the job must not need features of our path tracer
-/// alone, such as the `variance` of views.
+/// The file's engine must work on this machine. The job must not need features that only our path
+/// tracer has, such as the `variance` of views.
 pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<'_>) -> Engine {
     let is_file = job.scene.as_deref().is_some_and(is_blend);
     chosen(
@@ -54,7 +54,7 @@ fn chosen(
         Engine::Blender => return Engine::Blender,
         Engine::Lumistack => Some("`render.engine = \"lumistack\"` requests our path tracer".to_owned()),
         Engine::Auto if !plain => Some(
-            "`angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` and variance require our path tracer"
+            "the job uses one of `angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` and variance, which require our path tracer"
                 .to_owned(),
         ),
         Engine::Auto if !is_file => {
