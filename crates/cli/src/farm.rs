@@ -149,8 +149,8 @@ struct EngineArgs {
     /// Key of the client certificate, PEM
     #[arg(long, value_name = "FILE", requires = "tls_ca")]
     tls_key: Option<PathBuf>,
-    /// Connect to a scheduler on another machine without TLS: anyone who reaches it can run
-    /// programs on its workers
+    /// Connect to a scheduler on another machine without TLS. Then every user who can reach the
+    /// scheduler can run programs on its workers
     #[arg(long)]
     insecure: bool,
     /// Object store through which workers without a shared folder exchange files, such as
@@ -187,7 +187,7 @@ impl CutArgs {
     }
 }
 
-/// A path mapping: a folder, and the folder on other machines that replaces it.
+/// A path mapping: a folder, and the folder that replaces it in all paths.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Map([PathBuf; 2]);
 
@@ -485,7 +485,7 @@ fn engine(
     if json {
         command.arg("--json");
     }
-    // Ctrl-C also reaches the Python module, which then ends cleanly. So only wait for its end.
+    // Ctrl-C also reaches the Python module, which then ends cleanly. So this process only waits.
     let status = command.status().map_err(PipelineError::command)?;
     task.cancel.check()?;
     match status.success() {

@@ -57,8 +57,8 @@ pub(crate) struct RenderArgs {
     /// has content that lumistack does not support
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
-    /// Largest number of bounces of a path; the first hit counts as a bounce. With 0 only the light
-    /// that surfaces emit is visible [default: 6]
+    /// Largest number of bounces of a path; the first hit counts as a bounce. With 0 only the
+    /// background and the light that surfaces emit are visible [default: 6]
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, the
@@ -68,8 +68,8 @@ pub(crate) struct RenderArgs {
     /// and Lumistack's path tracer renders the views, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
-    /// Camera that sees the scene, by its name or its number from 0. The camera's plane of focus
-    /// becomes the display plane
+    /// Camera that sees the scene, by its name or its number from 0. If the camera has a plane of
+    /// focus, this plane becomes the display plane
     #[arg(long, value_name = "NAME|N")]
     pub(crate) camera: Option<String>,
     /// View the scene from this azimuth and elevation, degrees, even if the file has a camera.
@@ -114,8 +114,8 @@ pub(crate) struct RenderArgs {
     /// Environment map (Radiance HDR or EXR) that replaces the scene's environment
     #[arg(long, value_name = "FILE")]
     pub(crate) environment: Option<PathBuf>,
-    /// Factor that multiplies the light of the environment, or of the studio light, which a scene
-    /// without light gets
+    /// Factor that multiplies the light of the environment, or of the built-in studio light. A
+    /// scene with too little light of its own gets the studio light
     #[arg(long, value_name = "K")]
     pub(crate) environment_strength: Option<f32>,
     /// Rotation of the environment about the up axis, degrees. A positive angle turns the
@@ -199,8 +199,8 @@ pub(crate) struct FactorizeArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Sequence")]
 pub(crate) struct SequenceArgs {
-    /// Number of time steps. Each time step has a run folder (t0001, t0002, ...), and starts from
-    /// the patterns of the previous time step
+    /// Number of time steps. Each time step has a run folder (t0001, t0002, ...). Each time step
+    /// after the first starts from the patterns of the previous one, unless a fresh start is better
     #[arg(long, value_name = "N")]
     pub(crate) times: Option<usize>,
     /// Angle by which the window turns about its vertical axis from the first time step to the
@@ -274,7 +274,8 @@ pub(crate) struct FactorizeDisplayArgs {
     pub(crate) brightness: Option<f64>,
 }
 
-/// Geometry of a light field whose files do not state it; a flag takes precedence over the files.
+/// Geometry of a light field, for files that do not state the geometry. A flag takes precedence
+/// over the files.
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Light field")]
 pub(crate) struct GeometryArgs {

@@ -106,7 +106,7 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
         let source = source_of(first, task)?;
         if let Some(last) = times.get(1).and_then(|_| times.last()) {
             let text = format!(
-                "shows the first of {} time steps; `lumistack preview {}` shows the last, and likewise each of the others",
+                "shows the first of {} time steps; `lumistack preview {}` shows the last one, and any other time step has such a folder",
                 times.len(),
                 last.display()
             );

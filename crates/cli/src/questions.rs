@@ -40,7 +40,7 @@ impl Questions<'_> {
                     self.command,
                     flag,
                     format!("a value for this option ({question})"),
-                    "nothing, and no terminal on which to ask",
+                    "none; without a terminal or with --no-questions, no question is asked",
                 )
             };
             return default.map(|(_, value)| value).ok_or_else(missing);

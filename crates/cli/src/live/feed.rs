@@ -209,8 +209,9 @@ fn value<'a>(query: &'a str, name: &str) -> Option<&'a str> {
 
 /// A page's request.
 struct Asked<'a> {
-    /// Number of the page's state, and of its message (`said`); 0 if the page has none.
+    /// Number of the page's state; 0 if the page has no state.
     number: u64,
+    /// Number of the page's message; 0 if the page has no message.
     said: u64,
     edition: &'a str,
 }
