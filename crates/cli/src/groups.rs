@@ -53,8 +53,8 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
     /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
-    /// with the file's own engine and settings. With auto, lumistack renders, unless a .blend scene
-    /// has content that lumistack does not support
+    /// with the file's own engine and settings. With auto, lumistack renders, except most .blend
+    /// scenes with content that lumistack does not support (docs/BLENDER.md)
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
     /// Largest number of bounces of a path; the first hit counts as a bounce. With 0 only the
@@ -130,7 +130,8 @@ pub(crate) struct RenderArgs {
     /// they are darker
     #[arg(long, value_name = "EV", allow_hyphen_values = true)]
     pub(crate) exposure_ev: Option<f64>,
-    /// Tone curve of all views: auto, linear, khronos-neutral or agx
+    /// Tone curve of all views: auto, linear, khronos-neutral or agx. Auto means linear if hardly
+    /// anything is brighter than white, otherwise khronos-neutral
     #[arg(long, value_name = "CURVE", value_parser = ["auto", "linear", "khronos-neutral", "agx"])]
     pub(crate) tone: Option<String>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.

@@ -105,8 +105,8 @@ struct Axes {
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Search")]
 struct Search {
-    /// Search for the best design and propose it. All designs are solved with few iterations, and
-    /// only the promising designs are solved to the end
+    /// Search for the best design and propose it. All permitted designs are solved with few
+    /// iterations, and only the promising designs are solved to the end
     #[arg(long)]
     search: bool,
     /// Largest distance from the rearmost to the frontmost layer or lens array, millimetres
