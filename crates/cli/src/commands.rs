@@ -182,6 +182,7 @@ fn finish(
         }
         say!("{}", summary.report.display());
     }
+    // An output that could not be written does not prevent the report, but the command must fail.
     match summary.failed_outputs {
         failed if failed.is_empty() => Ok(()),
         failed => Err(PipelineError::Outputs { failed }),

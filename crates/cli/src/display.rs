@@ -172,7 +172,8 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         Some(("my display".into(), "my display".into())),
         |text| Some(text.into()),
     )?;
-    // Gaps and lenses define the number of panels, so they are requested first.
+    // Gaps and lenses define the number of panels, so they are requested before the panels'
+    // settings.
     let lens_pitch_mm = match args.lens_pitch_mm {
         Some(pitch) => pitch,
         None => ask.value(

@@ -24,8 +24,7 @@ pub(crate) struct DisplayArgs {
     /// of the job file, or paper-three-layer]
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) display: Option<OsString>,
-    /// Columns and rows of the views. The resolutions of the display's layers change by the same
-    /// factor
+    /// Columns and rows of the views. The resolutions of the display's layers change in proportion
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
     /// Number of frames M that the display shows in quick succession [default: the display's]
@@ -49,7 +48,7 @@ pub(crate) struct RenderArgs {
     /// auto]
     #[arg(long, value_name = "auto|N")]
     pub(crate) zone_samples: Option<lumistack_pipeline::ZoneSamples>,
-    /// Number of paths per pixel of each view. It cannot be combined with --zone-samples
+    /// Number of paths per pixel of each view. This option cannot be combined with --zone-samples
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
     /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
@@ -223,7 +222,7 @@ pub(crate) struct SequenceArgs {
     /// so several machines can solve them at the same time [default: one chunk of all time steps]
     #[arg(long, value_name = "N")]
     pub(crate) chunk_times: Option<usize>,
-    /// Number of time steps before each chunk that are solved again for the chunk, so that the
+    /// Number of time steps that are solved again before each chunk except the first, so that the
     /// chunk starts from good patterns [default: 2]
     #[arg(long, value_name = "N")]
     pub(crate) warm_up_times: Option<usize>,

@@ -213,8 +213,8 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let job = match Job::load(path) {
         Ok(job) => job,
         Err(job_error) => {
-            // The file is neither a valid job nor a valid display. A file with [[layers]] is
-            // regarded as a display, any other file as a job, and the error for this kind is
+            // The file is no valid job. If it is no valid display either, a file with [[layers]] is
+            // regarded as a display, and any other file as a job. The error for this kind is
             // reported.
             return match presets::load_file(path) {
                 Ok(found) => Ok(display(&found)),

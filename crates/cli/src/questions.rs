@@ -34,6 +34,7 @@ impl Questions<'_> {
         if let Some(given) = given {
             return Ok(given);
         }
+        // Without questions, only the default remains.
         let Some(input) = &mut self.input else {
             let missing = || {
                 PipelineError::value(
@@ -45,6 +46,7 @@ impl Questions<'_> {
             };
             return default.map(|(_, value)| value).ok_or_else(missing);
         };
+        // Repeat the question until the answer is valid, or until the input ends.
         loop {
             let hint = default.as_ref().map_or(String::new(), |(text, _)| format!(" [{text}]"));
             eprint!("{question}{hint}: ");

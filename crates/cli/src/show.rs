@@ -395,6 +395,8 @@ fn print_report(report: &Report) {
             tally.late, tally.repeated, tally.dropped, tally.out_of_order
         )
     };
+    // Some platforms do not report when pictures were shown. Then only the times of submission are
+    // known.
     match (report.presented.is_empty(), &report.submitted) {
         (true, Some(submitted)) => say!(
             "by the times of submission: {}; the platform does not report when pictures were shown",

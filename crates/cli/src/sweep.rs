@@ -55,8 +55,7 @@ pub(crate) struct Sweep {
     /// display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Display")]
     display: Option<std::ffi::OsString>,
-    /// Columns and rows of the views. The resolutions of the display's layers change by the same
-    /// factor
+    /// Columns and rows of the views. The resolutions of the display's layers change in proportion
     #[arg(long, value_name = "CxR", help_heading = "Display")]
     resolution: Option<Size>,
     #[command(flatten)]

@@ -84,6 +84,8 @@ impl PointSpread {
                 let divided = if TRANSPOSED { source } else { row };
                 self.taps[source + radius - row] * self.border_scale(divided, rows)
             }));
+            // Blur across the rows, and then along the line. The blur divides after its sums, the
+            // transpose before its sums.
             let line = &mut scratch[radius..radius + cols];
             weighted_sums(line, &weights, &input[sources.start * cols..], cols);
             if TRANSPOSED {
