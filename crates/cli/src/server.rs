@@ -40,8 +40,8 @@ const PART: usize = 64 << 10;
 /// with unread bytes, the client may lose the response.
 const LINGER: Duration = Duration::from_millis(500);
 
-/// Script that checks once a second whether the folder has changed, and then reloads the page. The
-/// page keeps its state in its address.
+/// Script that checks once a second whether the folder has changed. If so, the script reloads the
+/// page, which keeps its state in its address.
 const RELOAD: &str = "<script>{const was='STAMP';setInterval(async()=>{try{\
     const answer=await fetch('.stamp',{cache:'no-store'});if(answer.ok&&await answer.text()!==was)location.reload()\
     }catch{}},1000)}</script></body>";
@@ -120,7 +120,8 @@ pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> O
                 if stop.load(Ordering::Relaxed) {
                     break;
                 }
-                // Accepting fails if no file descriptors are left, so wait until a connection ends.
+                // Accepting fails if no file descriptors are left. Another connection may end
+                // during this pause.
                 let Ok((stream, _)) = accepted else {
                     thread::sleep(Duration::from_millis(50));
                     continue;

@@ -322,9 +322,9 @@ fn command_of(line: &str) -> Result<Command, String> {
     command.ok_or_else(|| format!("standard input: expected {expected}, found `{line}`"))
 }
 
-/// Prints an event of the presenter. If the event requests it, saves the display to `file`. Writes
-/// a report's list of submissions to `log`. Without `json`, the events `Started`, `Swapped`,
-/// `Looked` and `Warning` are not printed.
+/// Prints an event of the presenter. If the event requests that the display is saved, saves it to
+/// `file`. Writes a report's list of submissions to `log`. Without `json`, the events `Started`,
+/// `Swapped`, `Looked` and `Warning` are not printed.
 fn happened(event: &Value, json: bool, file: Option<&Path>, log: Option<&Path>) -> Result<(), PipelineError> {
     match serde_json::from_value(event.clone()) {
         Ok(Event::Save { display }) => match save(&display, file) {

@@ -1,4 +1,4 @@
-//! Commands on standard input, one JSON object a line, and head positions by UDP.
+//! Commands on standard input, one JSON object per line, and head positions by UDP.
 
 use std::io::BufRead;
 use std::net::UdpSocket;

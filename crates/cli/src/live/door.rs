@@ -87,7 +87,7 @@ impl Events {
         Ok(Some(attached.number))
     }
 
-    /// Detaches the program, after the last event.
+    /// Detaches the program. Call this function after the last event.
     pub(super) fn end(&self) {
         lock(&self.attached).end();
     }

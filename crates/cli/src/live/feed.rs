@@ -11,11 +11,11 @@
 //! ```
 //!
 //! An edition is a version of preview.json. WORD is a secret that the page has received. In the
-//! query of `/.live`, `after` is the number of the page's state. `edition` names the page's
-//! edition, and `said` is the number of its message. In the response, `files` has the length of
-//! each file that preview.json lists, in the order of this list. In the response, `said` is the
-//! number of the newest message. The response contains the text of preview.json if the page has
-//! another edition. A response without a newer state has no files.
+//! query of `/.live`, `after` is the number of the page's state, `edition` the name of the page's
+//! edition, and `said` the number of the page's message. In the response, `files` has the length of
+//! each file that preview.json lists, in the order of this list, and `said` is the number of the
+//! newest message. The response contains the text of preview.json if the page has another edition.
+//! A response without a newer state has no files.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
