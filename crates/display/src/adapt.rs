@@ -49,8 +49,8 @@ impl Display {
 
     /// Returns this display adapted to a light field that already exists. Masks scale with the
     /// resolution and the size of the light field. The new field of view makes the display's views
-    /// as far apart as the light field's. Lenslets scale with the masks. Distances and frames stay
-    /// the same.
+    /// as far apart as the views of the light field. Lenslets scale with the masks. Distances and
+    /// frames stay the same.
     ///
     /// The backlight's bins follow the views per axis: the number of bins per view stays the same.
     /// So a backlight that was made for the display's views has one bin for each view of the light
@@ -58,8 +58,8 @@ impl Display {
     /// bins.
     ///
     /// # Errors
-    /// If the light field's rays spread over too many widths of a view. The backlight would then
-    /// need more than 64 bins along an axis, and more than two per view.
+    /// If the backlight needs more than 64 bins along an axis, and more than two per view, for all
+    /// rays of the light field. Also if this display's view grid is invalid.
     pub fn adapted_to(&self, geometry: &FieldGeometry) -> Result<Self, DisplayError> {
         if self.geometry()? == *geometry {
             return Ok(self.clone());

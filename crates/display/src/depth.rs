@@ -28,8 +28,7 @@ const ROUNDING: f64 = 1e-12;
 
 impl Display {
     /// Returns the highest spatial frequency that the display can show on a plane at `z_mm`, in
-    /// cycles per millimetre. This is the smaller ω(z) of the two axes. Returns infinity if neither
-    /// axis limits the frequency.
+    /// cycles per millimetre. This is the smaller ω(z) of the two axes.
     pub fn spatial_cutoff(&self, z_mm: f64) -> f64 {
         [0, 1].map(|axis| cutoff(&self.generators(axis), z_mm)).into_iter().fold(f64::INFINITY, f64::min)
     }
