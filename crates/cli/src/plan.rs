@@ -35,7 +35,8 @@ fn plan_seconds(plan: &Plan) -> f64 {
 }
 
 /// Returns a line that suggests a small run before a long one. `None` for a short run, for a job
-/// without a scene, for a small display, and if the small run saves less than half of the time.
+/// without a scene, and for a small display. Also `None` if the small run saves less than half of
+/// the time.
 fn small_first(job: &Job, folder: &Path, registry: &Registry, seconds: f64) -> Option<String> {
     if seconds < LONG_S || job.scene.is_none() {
         return None;

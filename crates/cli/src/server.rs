@@ -415,7 +415,7 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
                     .map_or_else(|| Reply::text(204, ""), |frame| bytes("application/octet-stream", frame));
             }
             LOOK if feed.look(query) => return Reply::text(204, ""),
-            LOOK => return Reply::text(403, "expected the page's own secret and a slope\n"),
+            LOOK => return Reply::text(403, "expected the page's secret and a slope, found another query\n"),
             _ => {}
         }
     }

@@ -58,8 +58,8 @@ impl Display {
     /// bins.
     ///
     /// # Errors
-    /// If the backlight needs more than 64 bins along an axis, and more than two per view, for all
-    /// rays of the light field. Also if this display's view grid is invalid.
+    /// If the rays of the light field need more than 64 bins along an axis, and more than two per
+    /// view. Also if this display's view grid is invalid.
     pub fn adapted_to(&self, geometry: &FieldGeometry) -> Result<Self, DisplayError> {
         if self.geometry()? == *geometry {
             return Ok(self.clone());

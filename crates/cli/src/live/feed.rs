@@ -10,12 +10,12 @@
 //!     moves a page's viewer, who counts as a tracked head; without x and y the viewer leaves
 //! ```
 //!
-//! An edition is a version of preview.json. WORD is a secret that the page has received. In the
-//! query of `/.live`, `after` is the number of the page's state, `edition` the name of the page's
-//! edition, and `said` the number of the page's message. In the response, `files` has the length of
-//! each file that preview.json lists, in the order of this list, and `said` is the number of the
-//! newest message. The response contains the text of preview.json if the page has another edition.
-//! A response without a newer state has no files.
+//! An edition is a version of preview.json. WORD is a secret that the page has received. The query
+//! of `/.live` describes the content of the page: `after` is the number of the state, `edition` the
+//! name of the edition, and `said` the number of the message. In the response, `files` has the
+//! length of each file that preview.json lists, in the order of this list. There `said` is the
+//! number of the newest message. The response contains the text of preview.json if the page has
+//! another edition. A response without a newer state has no files.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
