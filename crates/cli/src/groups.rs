@@ -52,8 +52,9 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
     /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
-    /// with the file's own engine and settings. With auto, lumistack renders, except most .blend
-    /// scenes with content that lumistack does not support (docs/BLENDER.md)
+    /// with the file's own engine and settings. With auto, Blender renders .blend scenes with
+    /// content that lumistack does not support (docs/BLENDER.md lists exceptions), and lumistack
+    /// renders all other scenes
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
     /// Largest number of bounces of a path; the first hit counts as a bounce. With 0 only the
@@ -231,7 +232,7 @@ pub(crate) struct SequenceArgs {
 /// The run folder of a job, and changes to the job.
 #[derive(Debug, ClapArgs)]
 pub(crate) struct JobArgs {
-    /// Folder for the results [default: runs/NAME]
+    /// Folder for the results [default: runs/NAME; sweeps/NAME for a sweep]
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
     #[command(flatten)]
