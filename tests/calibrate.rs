@@ -13,8 +13,8 @@ use crate::common::session::{Picture, SWAY, Session, wait_for};
 use crate::common::show::Show;
 use crate::common::{self, poke, session};
 
-/// Makes a run whose layers contain smooth pictures. A test compares views of them, and a developer
-/// can look at them.
+/// Makes a run whose layers contain smooth pictures. A test compares views of the run, and a
+/// developer can look at the views.
 fn write_waves(folder: &Path) -> Display {
     let mut display = Display::uniform([96, 60], 2.0, [3, 3], [24.0, 16.0], &[-20.0, 0.0, 20.0], 2);
     display.brightness = 0.5;
@@ -92,7 +92,7 @@ fn the_preview_window_shows_the_view_that_the_pointer_selects() {
         // causes no event
         poke.point([at[0] - 1, at[1]]);
         poke.point(at);
-        // the window's edges stand for slopes at 1.2 times the field of view
+        // an edge of the window stands for 1.2 times half the field of view
         let share = [2.0 * f64::from(at[0]) / 768.0 - 1.0, 1.0 - 2.0 * f64::from(at[1]) / 480.0];
         let from = [0, 1].map(|axis| 1.2 * share[axis] * 0.5 * display.field.fov_deg[axis]);
         let shot = wait_for(&format!("the view from {from:?}"), || {

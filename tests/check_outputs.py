@@ -105,7 +105,7 @@ def images(folder):
             check(folder / "hci", key, round(config.getfloat("meta", key), 3), round(float(limit), 3))
     for path in (folder / "stanford").glob("*"):
         if not re.fullmatch(r"out_\d\d_\d\d_-?\d+\.\d+_-?\d+\.\d+\.png", path.name):
-            sys.exit(f"{path}: not a name of the archive")
+            sys.exit(f"{path}: expected a file name of the Stanford archive, found another")
 
 
 def quilt(folder):

@@ -67,8 +67,9 @@ impl Camera {
     /// The display is in a dim room. The light is multiplied by `exposure`, and gets noise and
     /// 8-bit codes.
     fn photograph(&self, shown: &[f32], [cols, rows]: [usize; 2], pitch_mm: f64, exposure: f64, path: &Path) {
-        // standard deviation of the noise of a camera at low sensitivity, and light of the room
+        // standard deviation of the noise of a camera at low sensitivity
         const NOISE: f64 = 0.01;
+        // light of the room around the display
         const ROOM: f64 = 0.03;
         let mut stream = Stream::new(11);
         let mut codes = Vec::new();

@@ -11,9 +11,9 @@ use crate::common::{lumistack, number, report, root, succeed};
 
 /// Largest difference between the PSNR of the traced rays and the PSNR in the report, dB.
 const DECIBELS: f64 = 0.5;
-/// Half the width of the pupil, as a fraction of the width of a view's angular bin. On each axis of
-/// the pupil, rays go to `2 * PUPIL_STEPS + 1` points.
+/// Half the width of the pupil, as a fraction of the width of a view's angular bin.
 const PUPIL: f64 = 0.3;
+/// On each axis of the pupil, rays go to `2 * PUPIL_STEPS + 1` points.
 const PUPIL_STEPS: i32 = 3;
 /// One ray out of this number is traced. Different rays are traced for different views.
 const EVERY: usize = 21;

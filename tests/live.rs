@@ -247,7 +247,7 @@ fn the_mouse_in_the_window_acts_as_a_tracked_head() {
     let program = session.command(env!("CARGO_BIN_EXE_lumistack"));
     let live = Live::start_by(program, &job, &run, &["--show", "window", "--mouse"]);
     live.state(|state| state["zone"] == 1.0);
-    // returns the last value of `zone` in events until no event arrives for a time
+    // returns the last value of `zone` among the events before a pause of length `time`
     let zone_within = |time: Duration| -> Option<f64> {
         let events = std::iter::from_fn(|| live.events.recv_timeout(time).ok());
         events.filter_map(|event| event["zone"].as_f64()).last()
@@ -335,7 +335,7 @@ fn another_program_attaches_by_a_token_and_leaves_the_display_running() {
     assert!(refused["message"].as_str().unwrap().starts_with("a program is attached already"), "{refused}");
     assert_eq!(second.next(), None);
 
-    // after the program has gone, the display runs, and the next one may attach
+    // after the program has gone, the display still runs, and another program may attach
     drop(program);
     let mut again = (0..100).find_map(|_| {
         let mut next = Attached::connect(&run, &format!("{token}\n"));

@@ -1,4 +1,4 @@
-//! The appearance of a scene: tone curves, depth of field, and depth that fits the display.
+//! Tests of tone curves, of depth that is fitted to the display, and of the reported depth.
 
 use std::path::Path;
 use std::process::Command;

@@ -37,11 +37,11 @@ def picture(direction, half):
 
 
 def runs(slope, side):
-    """Traces `many` rays per pixel along one axis: 0 is x, 1 is y.
+    """Traces `many` rays per pixel along one axis; `side` is 0 for x, 1 for y.
 
     Neighbouring rays that read the same pixels of all parts (the layers and a backlight of
     lenslets) form a group, called a run. Only the first ray of a run is traced further. Returns
-    three arrays. The array places[part, run, pixel] has the pixel of each part that the run reads.
+    three arrays. The array places[part, run, pixel] states the pixel of the part that a run reads.
     With a backlight of lenslets, the last part is the angular bin. The array shares[run, pixel] has
     the run's fraction of the pixel's width. The array inside[run, pixel] is true if the run hits
     all parts.

@@ -89,7 +89,8 @@ fn lamps_that_miss_the_visible_side_are_supplemented() {
     let folder = tempfile::tempdir().unwrap();
     let lit_from = |z: f64| {
         scene(&[([0.0; 3], UPRIGHT)], move |document| {
-            // the lamp shines towards −z, parallel to the card, so the card stays black
+            // the lamp shines towards −z; with z < 0 it is behind the card and shines away from the
+            // card
             document["extensionsUsed"] = json!(["KHR_lights_punctual"]);
             document["extensions"] = json!({ "KHR_lights_punctual": { "lights": [
                 { "type": "spot", "intensity": 40, "spot": { "outerConeAngle": 0.6 } }] } });

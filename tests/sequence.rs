@@ -270,8 +270,8 @@ fn a_window_moves_through_a_scene() {
     assert!(patterns == files(&run.join("t0002/layers")));
 }
 
-/// Writes a scene of a square with the material variants red and blue. In one second the square
-/// moves by half of its width.
+/// Writes a scene of a red square in front of a grey one. The material variant `Blue` makes the red
+/// square blue. In one second the red square moves by half of its width.
 fn write_gliding_square(path: &Path) {
     use base64::Engine;
     let mut bin: Vec<u8> = Vec::new();

@@ -85,7 +85,7 @@ fn results_that_were_damaged_at_equal_size_are_made_again() {
         damage(&run.join(file));
         assert!(results(&run) != whole);
         succeed(&mut factorize(&field, &run, 2));
-        assert!(stage.is_none_or(|stage| !cached(&run, stage)), "{file} was taken for good");
+        assert!(stage.is_none_or(|stage| !cached(&run, stage)), "the damage of {file} is not detected");
         assert!(results(&run) == whole, "{file} is not as it was");
     }
 }
@@ -129,7 +129,7 @@ fn views_that_share_light_are_made_again_together() {
     for name in ["shared/view_00_02.exr", "split_01_01.exr"] {
         damage(&target.join(name));
         succeed(&mut render(&run));
-        assert!(!cached(&run, "render"), "{name} was taken for good");
+        assert!(!cached(&run, "render"), "the damage of {name} is not detected");
         assert!(results(&run) == whole, "{name} changed the result");
     }
 }

@@ -102,7 +102,7 @@ fn layers_agree_with_views() {
     assert!(flat.iter().all(|z| (z - flat[0]).abs() < 0.1), "the triangle faces the display");
     let variance = of("variance.R");
     assert!(variance.iter().all(|value| *value >= 0.0) && variance.iter().any(|value| *value > 0.0));
-    // four times as many samples give a fourth of the variance
+    // sixteen times the samples give a sixteenth of the variance
     let mean = |folder: &Path| -> f64 {
         let values = channel(&folder.join("layers_01_03.exr"), "variance.R");
         values.iter().map(|value| f64::from(*value)).sum()

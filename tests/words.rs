@@ -229,7 +229,7 @@ fn a_console_of_windows_shows_text_and_progress() {
     let [scene, out] = [&scene, &out].map(|path| path.to_str().unwrap());
     let words = [&["run", scene, "-o", out], &SMALL[..]].concat();
     let screen = lumistack_testkit::console::screen_of(env!("CARGO_BIN_EXE_lumistack"), &words);
-    // a cell of a wide character is there once or twice
+    // a wide character appears once or twice in a line of the screen
     let shows = |text: &str| screen.lines.iter().any(|line| line.contains(text));
     assert!(shows("Größe 日本") || shows("Größe 日日本本"), "{screen:#?}");
     assert!(shows("PSNR") && shows("dB"), "{screen:#?}");

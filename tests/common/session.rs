@@ -63,8 +63,9 @@ impl Session {
     }
 }
 
-/// Returns true if a session can be started. Sessions of tests that run at the same time disturb
-/// each other, so sessions start only if an environment variable permits them.
+/// Returns true if `program`, which a session needs, is installed, and if the variable
+/// `LUMISTACK_SESSIONS` permits sessions. Sessions disturb each other. So only `cargo xtask panels`
+/// sets the variable; it runs the tests one after another.
 fn has(program: &str) -> bool {
     if std::env::var_os("LUMISTACK_SESSIONS").is_none() {
         lumistack_testkit::skip::runs_in("panels");

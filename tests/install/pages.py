@@ -22,8 +22,8 @@ PAGES = ["docs/FIRST_HOUR.md", *sorted(path.relative_to(ROOT).as_posix() for pat
 TINY = ["--resolution", "16x10", "--views", "2x2"]
 SOLVED = ["--iterations", "2"]
 ALL = [*TINY, "--zone-samples", "8", *SOLVED]
-#: Flags that are added to commands, so that they are quick and open no browser. The longest start
-#: of a command that the table has applies. If a flag is repeated, the last one takes effect.
+#: Flags that are added to commands, so that they are quick and open no browser. A command gets the
+#: flags of the longest key with which it begins. If a flag is repeated, the last one takes effect.
 ADDED = {
     "lumistack run": ALL,
     "lumistack run scenes/sweeps/baselines.toml": ["--resolution", "16x10", *SOLVED],
@@ -126,7 +126,7 @@ def run(command: str, folder: Path) -> None:
     if command.startswith(SERVERS):
         serves(words, folder)
         return
-    # words of the shell, such as `>>` and `&&`, are left to it
+    # bash interprets its operators, such as `>>` and `&&`
     line = f"{command} {shlex.join(added)}" if added else command
     answers = made_for(command, ANSWERS)
     done = subprocess.run(

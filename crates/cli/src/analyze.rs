@@ -192,7 +192,7 @@ fn looked_at(
 ) -> Result<Scene, PipelineError> {
     let mut job = job_or_scene(scene)?;
     change_importer(&mut job.importer, files);
-    // The analysis needs the scene's own depth, so do not compress depth for the display.
+    // The analysis needs the scene's own depth, so `auto` must not fit this depth to the display.
     if job.window.fit_depth == FitDepth::Auto {
         job.window.fit_depth = FitDepth::Off;
     }
@@ -217,7 +217,8 @@ fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
 type Measured = (String, Vec<Contrast>);
 
 /// Measures the contrast of gratings at many depths. The largest depth is the maximum of three
-/// values: 1.5 times the depth of field, twice the distance of the outermost layer, and 10 mm.
+/// values: 1.5 times the limits of the depth of field, twice the distance of the outermost layer,
+/// and 10 mm.
 fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<Vec<Measured>, PipelineError> {
     let measure = |(display, analysis): (&Display, &Analysis)| {
         let ends = analysis.depth_of_field_mm.into_iter().flatten().map(|z| 1.5 * z.abs());
@@ -236,7 +237,7 @@ fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<V
     displays.iter().zip(all).map(measure).collect()
 }
 
-/// Formats one line per [`Achieved`]. The line states, for some depths, the highest frequency of a
+/// Formats one line per [`Achieved`]. Each line states, for some depths, the highest frequency of a
 /// grating that is shown with a contrast of at least ½.
 fn achieved(found: &[Contrast]) -> [String; 3] {
     let at = |[z, frequency]: &[f64; 2]| format!("{frequency:.2} at {z:.0} mm").replace('-', "−");

@@ -21,7 +21,8 @@ pub(crate) struct Args {
     /// Print progress and results as JSON, one object per line
     #[arg(long, global = true)]
     pub(crate) json: bool,
-    /// Number of threads that compute; results do not depend on this number [default: one per core]
+    /// Number of threads that compute; results do not depend on this number [default: one per
+    /// logical core]
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
     /// Use the plugins of a shared library, or of all such libraries in a folder. The name of a
@@ -83,7 +84,7 @@ pub(crate) enum Command {
     Compare(crate::compare::Compare),
     /// Show a run on physical panels: each layer on its own panel, one frame after another
     #[command(
-        after_help = "Examples:\n  lumistack show --list\n      lists the outputs for panels\n  lumistack show runs/still-life\n      shows each layer on its output\n  lumistack show my-display.toml --pattern crosshairs --only 1\n      shows crosshairs on layer 1, to align a stack\n  lumistack show runs/still-life --preview\n      shows a preview in a window, without panels\n\nKeys: space holds the current frame, or resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, the arrows shift it, and s saves the shifts. r reports how many frames were late, and q ends. In a preview the arrows turn the view.\n\nIf the patterns of the run change, the new ones appear after the last frame of the current cycle. docs/PANELS.md explains how to build and calibrate a stack."
+        after_help = "Examples:\n  lumistack show --list\n      lists the outputs for panels\n  lumistack show runs/still-life\n      shows each layer on its output\n  lumistack show my-display.toml --pattern crosshairs --only 1\n      shows crosshairs on layer 1, to align a stack\n  lumistack show runs/still-life --preview\n      shows a preview in a window, without panels\n\nKeys: space holds the first frame, or resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, the arrows shift it, and s saves the shifts. r reports how many frames were late, and q ends. In a preview the arrows turn the view.\n\nIf the patterns of the run change, the new ones appear after the last frame of the current cycle. docs/PANELS.md explains how to build and calibrate a stack."
     )]
     Show(Box<crate::show::Show>),
     /// Show a display, and update it while its scene, settings, time or viewers change
@@ -273,8 +274,8 @@ pub(crate) struct Clean {
     /// Folders of runs, sequences, sweeps or rendered views
     #[arg(required = true, value_name = "RUN")]
     pub(crate) dirs: Vec<PathBuf>,
-    /// Also remove all cached views. No result is lost, but a later run with other settings renders
-    /// its views again
+    /// Also remove all cached views, and other files that only save time. No result is lost, but a
+    /// later run with other settings renders its views again
     #[arg(long)]
     pub(crate) all: bool,
     /// Report the files that would be removed, but remove none
@@ -308,8 +309,8 @@ pub(crate) struct Info {
     /// built-in display or a display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Depth")]
     pub(crate) display: Option<OsString>,
-    /// Camera that sees the scene, by its name or its number from 0. The camera's plane of focus
-    /// becomes the display plane
+    /// Camera that sees the scene, by its name or its number from 0. If the camera has a plane of
+    /// focus, this plane becomes the display plane
     #[arg(long, value_name = "NAME|N", requires = "display", help_heading = "Depth")]
     pub(crate) camera: Option<String>,
     /// View the scene from this azimuth and elevation, degrees. Azimuth 0 is the front; positive

@@ -133,6 +133,7 @@ fn finish(
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
     let summary = run_job(job, folder, registry, Some(line), task)?;
+    // Print the result: as JSON, of a sequence, of several displays, or of a single display.
     if !json {
         summary.lacking.iter().for_each(|lacking| say!("Scene: {lacking}"));
     }
@@ -145,13 +146,14 @@ fn finish(
             say!("{}: PSNR {:.1} dB over {} time steps", node.id, node.psnr_view, sequence.times);
         }
         let times = sequence.times;
-        let others = [(", flicker", sequence.psnr_change), (", where the target does not change", sequence.psnr_still)];
+        let others =
+            [(", flicker", sequence.psnr_change), (", flicker where the target does not change", sequence.psnr_still)];
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!("{name} {psnr:.1} dB")));
         say!("PSNR {:.1} dB over {times} time steps{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
         let preview = format!("{} preview {}", program::name(), folder.display());
         say!("Look into the display at the first time step: {preview}");
         if times > 1 {
-            say!("at the last: {preview}/t{times:04}, and likewise at each of the others");
+            say!("at the last time step: {preview}/t{times:04}; any other time step has such a folder");
         }
         say!("{}", summary.report.display());
     } else if !summary.nodes.is_empty() {
@@ -180,6 +182,7 @@ fn finish(
         }
         say!("{}", summary.report.display());
     }
+    // An output that could not be written does not prevent the report, but the command must fail.
     match summary.failed_outputs {
         failed if failed.is_empty() => Ok(()),
         failed => Err(PipelineError::Outputs { failed }),

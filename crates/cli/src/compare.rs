@@ -15,8 +15,8 @@ use crate::values::Numbers;
 pub(crate) const EXAMPLES: &str = "\
 Examples:
   lumistack compare runs/three-layer runs/directional -o compared
-      compares two runs with each other and with the target of the first run, at the views of
-      the first run
+      compares two runs with each other, over the viewing zone of the first run, and both with
+      the target of the first run
   lumistack compare runs/figure-9 -o compared
       all displays of a run that has several displays, in one picture
   lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier
@@ -31,7 +31,7 @@ Examples:
   lumistack compare runs/a runs/b --focus -60,0,60 -o compared
       also pictures as seen by an eye that focuses behind, on and in front of the display";
 
-/// The runs or photograph to compare, and how.
+/// The arguments of `lumistack compare`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Compare {
     /// A run folder
@@ -146,13 +146,13 @@ fn displays(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineEr
 
 fn print_photo(found: &PhotoComparison) {
     say!("Photograph against simulation: {}", text_of(&found.likeness));
-    say!("Exposure of the photograph: × {:.4} ({:+.2} stops) to match", found.gain, found.gain.log2());
+    say!("Scale of the photograph's brightness, to match: × {:.4} ({:+.2} stops)", found.gain, found.gain.log2());
     if let Some([x, y, z]) = found.eye_mm {
         let text = format!("Taken from: {x:.0} mm right, {y:.0} mm up, {z:.0} mm in front of the display's centre");
         say!("{}", text.replace('-', "−"));
     }
     if found.clipped > 0.0 {
-        say!("Clipped: {:.1} % of the display, which is not compared", 100.0 * found.clipped);
+        say!("Clipped: {:.1} % of the display's pixels, which are not compared", 100.0 * found.clipped);
     }
     found.pictures.iter().for_each(|path| say!("{}", path.display()));
 }

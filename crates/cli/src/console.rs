@@ -36,14 +36,16 @@ pub(crate) fn print_line(text: std::fmt::Arguments<'_>) {
     }
 }
 
-/// Longest time without a report from a stage, if there is no terminal.
+/// Interval between two reports of a stage, without a progress bar.
 const PLAIN_INTERVAL: Duration = Duration::from_millis(2500);
 /// Interval at which a thread checks whether a report is due.
 const TICK: Duration = Duration::from_millis(250);
-/// A stage of a single step is announced only if the stage takes longer than this.
+/// Time after which a stage of a single step is announced, and after which the remaining time of a
+/// stage is estimated.
 const LAZY: Duration = Duration::from_secs(1);
 
-/// Output of progress and warnings.
+/// Output of progress and warnings. Each variant has the running stage, and the warnings so far,
+/// since each warning is printed only once.
 pub(crate) enum Console {
     /// A bar on the terminal.
     Bar(Mutex<Option<ProgressBar>>, Mutex<Vec<Warning>>),
@@ -98,7 +100,8 @@ impl Stage {
         Self { name, unit, done: 0, total, note, start: now, shown: now, announced: false }
     }
 
-    /// Reports the stage's progress if the last report is at least [`PLAIN_INTERVAL`] ago.
+    /// Announces the stage if this is due, and reports the progress if the last report is at least
+    /// [`PLAIN_INTERVAL`] ago.
     fn tick(&mut self, json: bool) {
         if !json && !self.announced && self.start.elapsed() >= LAZY {
             self.announce();
@@ -135,7 +138,8 @@ impl Stage {
 }
 
 /// Returns the time that a stage still takes if its remaining steps are as fast as its finished
-/// steps. Returns `None` if too few steps are finished for an estimate.
+/// steps. Returns `None` if no step is finished, if all are finished, or if the stage has just
+/// begun.
 fn remaining(done: u64, total: u64, spent: Duration) -> Option<String> {
     if done == 0 || done >= total || spent < LAZY {
         return None;

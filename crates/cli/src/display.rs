@@ -19,7 +19,7 @@ use crate::values::{Angles, Numbers, Size};
 pub(crate) enum DisplayCommand {
     /// Write a display file for your own panels. The command asks questions about missing options
     #[command(
-        after_help = "Examples:\n  lumistack display new my-display.toml\n      asks questions, and writes the file\n  lumistack display new my-display.toml --no-questions --gaps-mm 40,40 \\\n      --panel-resolution 1680x1050 --diagonal-inch 22\n      asks nothing\n\nFor a display of a single layer use --gaps-mm 0. With --lens-pitch-mm the display has a lens array, and one more panel than layers, which is behind the lenses. The default is then a single layer."
+        after_help = "Examples:\n  lumistack display new my-display.toml\n      asks questions, and writes the file\n  lumistack display new my-display.toml --no-questions --gaps-mm 40,40 \\\n      --panel-resolution 1680x1050 --diagonal-inch 22\n      asks nothing\n\nFor a display of a single layer use --gaps-mm 0. With --lens-pitch-mm the display has a lens array, and a panel behind the lenses, in addition to the panels of the layers. The default is then a single layer."
     )]
     New(Box<New>),
     /// Compute the positions of the panels from photographs. Each photograph shows the crosshairs
@@ -172,7 +172,8 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         Some(("my display".into(), "my display".into())),
         |text| Some(text.into()),
     )?;
-    // Gaps and lenses define the number of panels, so they are requested first.
+    // Gaps and lenses define the number of panels, so they are requested before the panels'
+    // settings.
     let lens_pitch_mm = match args.lens_pitch_mm {
         Some(pitch) => pitch,
         None => ask.value(
@@ -240,7 +241,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     // Request the settings of the light field, and of the lenses if there are any.
     let scale = ask.value(
         "--panel-pixels",
-        "Panel pixels per pixel of the masks (1 is sharpest, 2 factorizes four times as fast)",
+        "Panel pixels per mask pixel on each axis (1 is sharpest, 2 factorizes four times as fast)",
         args.panel_pixels,
         Some(("2".into(), 2)),
         |text| text.parse().ok().filter(|count| (1..=64).contains(count)),
@@ -342,8 +343,8 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         false => {
             say!("{}", args.file.display());
             let (file, program) = (args.file.display(), crate::program::name());
-            tell!("next: {program} show {file} --pattern identify           which panel is which");
-            tell!("      {program} run SCENE --display {file} -o runs/mine   patterns for it");
+            tell!("next: {program} show {file} --pattern identify           shows which panel is which");
+            tell!("      {program} run SCENE --display {file} -o runs/mine   computes patterns for this display");
             tell!("      {program} show runs/mine");
         }
     }
@@ -356,7 +357,8 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
     // Read the photographs.
     let photograph = |flag: &str, text: &str| {
         let wrong = || {
-            let expected = format!("a layer 0 to {} and a picture, such as 1=middle.jpg", display.layers.len() - 1);
+            let expected =
+                format!("a layer from 0 to {} and a picture, such as 1=middle.jpg", display.layers.len() - 1);
             PipelineError::value(flag, "N=FILE", expected, text)
         };
         let (layer, file) = text.split_once('=').ok_or_else(wrong)?;

@@ -12,7 +12,7 @@ use serde_json::json;
 use crate::console::say;
 use crate::program;
 
-pub(crate) const EXAMPLES: &str = "All listed software and hardware is optional: without it the program still turns a glTF scene into patterns, pictures and a web page.\n\n\
+pub(crate) const EXAMPLES: &str = "The listed software, graphics processors and panels are optional: without them the program still turns a glTF scene into patterns, pictures and a web page.\n\n\
     Examples:\n  lumistack doctor\n  lumistack --json doctor      prints the same as one JSON object";
 
 /// Memory or disk space that a run of the paper's size may need, MiB.
@@ -223,7 +223,7 @@ mod tests {
             let (free, _) = text.split_once(" MiB free").unwrap_or_else(|| panic!("{text}"));
             assert!(free.parse::<u64>().unwrap() > 0, "{text}");
         }
-        // Windows knows the disk of a folder that does not exist
+        // Windows finds the disk of a folder even if the folder does not exist.
         #[cfg(unix)]
         assert!(parts(&disk(Path::new("no such folder"))).1.starts_with("the free space is not known"));
     }

@@ -52,7 +52,8 @@ pub(crate) struct Farm {
     engine: EngineArgs,
 }
 
-/// Numbers of workers for which the total time is predicted by default, in the form of the option.
+/// Default of `--workers` in `plan` and `show`: numbers of workers for which the total time is
+/// predicted.
 const WORKERS: &str = "1,2,10,100,1000";
 
 #[derive(Debug, clap::Subcommand)]
@@ -149,8 +150,8 @@ struct EngineArgs {
     /// Key of the client certificate, PEM
     #[arg(long, value_name = "FILE", requires = "tls_ca")]
     tls_key: Option<PathBuf>,
-    /// Connect to a scheduler on another machine without TLS: anyone who reaches it can run
-    /// programs on its workers
+    /// Connect to a scheduler on another machine without TLS. Then every user who can reach the
+    /// scheduler can run programs on its workers
     #[arg(long)]
     insecure: bool,
     /// Object store through which workers without a shared folder exchange files, such as
@@ -187,7 +188,7 @@ impl CutArgs {
     }
 }
 
-/// A path mapping: a folder, and the folder on other machines that replaces it.
+/// A path mapping: a folder, and the folder that replaces it in all paths.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Map([PathBuf; 2]);
 
@@ -377,6 +378,7 @@ fn unit(
     json: bool,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
+    // Execute the unit, with the paths of this machine.
     let maps: Vec<(PathBuf, PathBuf)> = maps.iter().map(|Map([from, to])| (from.clone(), to.clone())).collect();
     let done = farm_unit(dir, id, &maps, Duration::from_secs(patience), registry, task);
     if json {
@@ -411,6 +413,7 @@ fn export(
     maps: &[Map],
     json: bool,
 ) -> Result<(), PipelineError> {
+    // Make the command line that executes a unit on a worker.
     let is_local = matches!(format, Format::Makefile | Format::Shell);
     let mut command = match program {
         Some(words) => words.split_whitespace().map(str::to_owned).collect(),
@@ -422,6 +425,7 @@ fn export(
     let graph = plan.graph(dir, command);
     let folder = maps.iter().find_map(|map| map.of(&graph.folder)).unwrap_or_else(|| graph.folder.clone());
     let files = format.export(&Graph { folder, ..graph });
+    // Decide whether `to` names a folder, or the only file of the format.
     let single = match files.as_slice() {
         [file] => to.file_name().is_some_and(|name| name == file.name.as_str()) || to.extension().is_some(),
         _ => false,
@@ -485,7 +489,7 @@ fn engine(
     if json {
         command.arg("--json");
     }
-    // Ctrl-C also reaches the Python module, which then ends cleanly. So only wait for its end.
+    // Ctrl-C also reaches the Python module, which then ends cleanly. So this process only waits.
     let status = command.status().map_err(PipelineError::command)?;
     task.cancel.check()?;
     match status.success() {

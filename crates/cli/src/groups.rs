@@ -24,8 +24,7 @@ pub(crate) struct DisplayArgs {
     /// of the job file, or paper-three-layer]
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) display: Option<OsString>,
-    /// Columns and rows of the views. The resolutions of the display's layers change by the same
-    /// factor
+    /// Columns and rows of the views. The resolutions of the display's layers change in proportion
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
     /// Number of frames M that the display shows in quick succession [default: the display's]
@@ -49,16 +48,17 @@ pub(crate) struct RenderArgs {
     /// auto]
     #[arg(long, value_name = "auto|N")]
     pub(crate) zone_samples: Option<lumistack_pipeline::ZoneSamples>,
-    /// Number of paths per pixel of each view. It cannot be combined with --zone-samples
+    /// Number of paths per pixel of each view. This option cannot be combined with --zone-samples
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
     /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
-    /// with the file's own engine and settings. With auto, lumistack renders, unless a .blend scene
-    /// has content that lumistack does not support
+    /// with the file's own engine and settings. With auto, Blender renders .blend scenes with
+    /// content that lumistack does not support (docs/BLENDER.md lists exceptions), and lumistack
+    /// renders all other scenes
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
-    /// Largest number of bounces of a path; the first hit counts as a bounce. With 0 only the light
-    /// that surfaces emit is visible [default: 6]
+    /// Largest number of bounces of a path; the first hit counts as a bounce. With 0 only the
+    /// background and the light that surfaces emit are visible [default: 6]
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, the
@@ -68,8 +68,8 @@ pub(crate) struct RenderArgs {
     /// and Lumistack's path tracer renders the views, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
-    /// Camera that sees the scene, by its name or its number from 0. The camera's plane of focus
-    /// becomes the display plane
+    /// Camera that sees the scene, by its name or its number from 0. If the camera has a plane of
+    /// focus, this plane becomes the display plane
     #[arg(long, value_name = "NAME|N")]
     pub(crate) camera: Option<String>,
     /// View the scene from this azimuth and elevation, degrees, even if the file has a camera.
@@ -114,8 +114,8 @@ pub(crate) struct RenderArgs {
     /// Environment map (Radiance HDR or EXR) that replaces the scene's environment
     #[arg(long, value_name = "FILE")]
     pub(crate) environment: Option<PathBuf>,
-    /// Factor that multiplies the light of the environment, or of the studio light, which a scene
-    /// without light gets
+    /// Factor that multiplies the light of the environment, or of the built-in studio light. A
+    /// scene with too little light of its own gets the studio light
     #[arg(long, value_name = "K")]
     pub(crate) environment_strength: Option<f32>,
     /// Rotation of the environment about the up axis, degrees. A positive angle turns the
@@ -130,7 +130,8 @@ pub(crate) struct RenderArgs {
     /// they are darker
     #[arg(long, value_name = "EV", allow_hyphen_values = true)]
     pub(crate) exposure_ev: Option<f64>,
-    /// Tone curve of all views: auto, linear, khronos-neutral or agx
+    /// Tone curve of all views: auto, linear, khronos-neutral or agx. Auto means linear if hardly
+    /// anything is brighter than white, otherwise khronos-neutral
     #[arg(long, value_name = "CURVE", value_parser = ["auto", "linear", "khronos-neutral", "agx"])]
     pub(crate) tone: Option<String>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
@@ -199,8 +200,8 @@ pub(crate) struct FactorizeArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Sequence")]
 pub(crate) struct SequenceArgs {
-    /// Number of time steps. Each time step has a run folder (t0001, t0002, ...), and starts from
-    /// the patterns of the previous time step
+    /// Number of time steps. Each time step has a run folder (t0001, t0002, ...). Each time step
+    /// after the first starts from the patterns of the previous one, unless a fresh start is better
     #[arg(long, value_name = "N")]
     pub(crate) times: Option<usize>,
     /// Angle by which the window turns about its vertical axis from the first time step to the
@@ -222,7 +223,7 @@ pub(crate) struct SequenceArgs {
     /// so several machines can solve them at the same time [default: one chunk of all time steps]
     #[arg(long, value_name = "N")]
     pub(crate) chunk_times: Option<usize>,
-    /// Number of time steps before each chunk that are solved again for the chunk, so that the
+    /// Number of time steps that are solved again before each chunk except the first, so that the
     /// chunk starts from good patterns [default: 2]
     #[arg(long, value_name = "N")]
     pub(crate) warm_up_times: Option<usize>,
@@ -231,7 +232,7 @@ pub(crate) struct SequenceArgs {
 /// The run folder of a job, and changes to the job.
 #[derive(Debug, ClapArgs)]
 pub(crate) struct JobArgs {
-    /// Folder for the results [default: runs/NAME]
+    /// Folder for the results [default: runs/NAME; sweeps/NAME for a sweep]
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
     #[command(flatten)]
@@ -274,7 +275,8 @@ pub(crate) struct FactorizeDisplayArgs {
     pub(crate) brightness: Option<f64>,
 }
 
-/// Geometry of a light field whose files do not state it; a flag takes precedence over the files.
+/// Geometry of a light field, for files that do not state the geometry. A flag takes precedence
+/// over the files.
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Light field")]
 pub(crate) struct GeometryArgs {

@@ -81,8 +81,7 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
 
 fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let path = args.file.as_path();
-    // Describe only the file's own light: without `automatic`, a scene without light gets no studio
-    // light.
+    // Describe only the file's own light: without `automatic`, no scene gets the studio light.
     let light = LightJob { automatic: false, ..LightJob::default() };
     let mut importer = ImporterJob::default();
     change_importer(&mut importer, &args.files);
@@ -214,8 +213,8 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let job = match Job::load(path) {
         Ok(job) => job,
         Err(job_error) => {
-            // The file is neither a valid job nor a valid display. A file with [[layers]] is
-            // regarded as a display, any other file as a job, and the error for this kind is
+            // The file is no valid job. If it is no valid display either, a file with [[layers]] is
+            // regarded as a display, and any other file as a job. The error for this kind is
             // reported.
             return match presets::load_file(path) {
                 Ok(found) => Ok(display(&found)),
@@ -229,7 +228,8 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let resolved = job.resolve_display()?;
     let refused: Vec<Value> = match refused_outputs(&job, registry, task) {
         Ok(refused) => refused.iter().map(|output| format!("{}: {}", output.name, output.reason).into()).collect(),
-        // A job may name input files that do not exist yet, so other errors become a note.
+        // A job may name input files that do not exist yet. So an error becomes a note, unless the
+        // user has cancelled.
         Err(PipelineError::Cancelled) => return Err(PipelineError::Cancelled),
         Err(error) => vec![format!("not checked: {error}").into()],
     };

@@ -1,5 +1,5 @@
-//! The `lumistack` program: it handles Ctrl-C and runs a command. To run a plugin, the program
-//! starts a second process of itself, with a special first argument.
+//! The `lumistack` program: it handles Ctrl-C and runs a command. To run a plugin of a shared
+//! library, the program starts itself again, with a special first argument.
 
 use std::process::ExitCode;
 
@@ -9,7 +9,7 @@ fn main() -> ExitCode {
     let words: Vec<_> = std::env::args_os().collect();
     #[cfg(feature = "dynamic")]
     {
-        // This process does not handle Ctrl-C, since its parent process handles it.
+        // This process has its own process group, so Ctrl-C reaches only the parent process.
         if words.get(1).is_some_and(|word| word == lumistack_cli::PLUGIN_CHILD) {
             return ExitCode::from(lumistack_cli::plugin_child(&words[2..]));
         }

@@ -9,8 +9,9 @@ use crate::values::{duration_text, size_text};
 
 /// Estimated time from which the plan suggests a small run first, seconds.
 const LONG_S: f64 = 1800.0;
-/// Width in pixels, and paths per pixel, of the small run that the plan suggests.
+/// Width of the small run that the plan suggests, pixels.
 const SMALL_COLS: usize = 210;
+/// Paths per pixel of the small run, summed over all views.
 const SMALL_ZONE_SAMPLES: u32 = 100;
 
 /// Prints the plan of a job in a run folder, without running it.
@@ -33,8 +34,9 @@ fn plan_seconds(plan: &Plan) -> f64 {
     plan.steps.iter().map(|step| step.seconds).sum()
 }
 
-/// Returns a line that suggests a small run before a long one; `None` for a short run, and for a
-/// job that renders no scene or is small already.
+/// Returns a line that suggests a small run before a long one. `None` for a short run, for a job
+/// without a scene, and for a small display. Also `None` if the small run saves less than half of
+/// the time.
 fn small_first(job: &Job, folder: &Path, registry: &Registry, seconds: f64) -> Option<String> {
     if seconds < LONG_S || job.scene.is_none() {
         return None;
@@ -53,7 +55,7 @@ fn small_first(job: &Job, folder: &Path, registry: &Registry, seconds: f64) -> O
     let [cols, rows] = resolution;
     (small_seconds < 0.5 * seconds).then(|| {
         format!(
-            "about {}; a small run first, --resolution {cols}x{rows} --zone-samples {SMALL_ZONE_SAMPLES} -o another folder, takes about {}",
+            "about {}; try a small run in another folder first: with --resolution {cols}x{rows} --zone-samples {SMALL_ZONE_SAMPLES} it takes about {}",
             duration_text(seconds),
             duration_text(small_seconds)
         )

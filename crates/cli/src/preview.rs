@@ -89,6 +89,7 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join(PREVIEW_JSON).is_file() {
         return Ok(Source { site: dir.to_owned(), run: None, seen: Mutex::default() });
     }
+    // A run may have written previews as outputs. Only one of them can be shown.
     let mut written = outputs_of(dir).into_iter();
     if let Some(site) = written.next() {
         let others: Vec<String> = written.map(|site| site.display().to_string()).collect();
@@ -101,12 +102,13 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join("layers/stack.json").is_file() {
         return Ok(Source { site: dir.join("preview"), run: Some(dir.to_owned()), seen: Mutex::default() });
     }
+    // The first time step of a sequence may have a preview, or a preview must be written for it.
     let times = times_of(dir);
     if let Some(first) = times.first() {
         let source = source_of(first, task)?;
         if let Some(last) = times.get(1).and_then(|_| times.last()) {
             let text = format!(
-                "shows the first of {} time steps; `lumistack preview {}` shows the last, and likewise each of the others",
+                "shows the first of {} time steps; `lumistack preview {}` shows the last one, and any other time step has such a folder",
                 times.len(),
                 last.display()
             );

@@ -34,17 +34,19 @@ impl Questions<'_> {
         if let Some(given) = given {
             return Ok(given);
         }
+        // Without questions, only the default remains.
         let Some(input) = &mut self.input else {
             let missing = || {
                 PipelineError::value(
                     self.command,
                     flag,
                     format!("a value for this option ({question})"),
-                    "nothing, and no terminal on which to ask",
+                    "none; without a terminal or with --no-questions, no question is asked",
                 )
             };
             return default.map(|(_, value)| value).ok_or_else(missing);
         };
+        // Repeat the question until the answer is valid, or until the input ends.
         loop {
             let hint = default.as_ref().map_or(String::new(), |(text, _)| format!(" [{text}]"));
             eprint!("{question}{hint}: ");

@@ -24,7 +24,7 @@ use percent_encoding::percent_decode_str;
 const STAMP: &str = "/.stamp";
 /// Interval at which [`serve`] calls `tick`.
 const TICK: Duration = Duration::from_millis(200);
-/// Largest number of connections at a time; a browser opens six.
+/// Largest number of open connections; a browser opens six.
 const MOST: usize = 64;
 /// Time limit for a client to send the whole head of a request, even byte by byte.
 const HEAD_TIME: Duration = Duration::from_secs(5);
@@ -37,11 +37,11 @@ const WRITE_TIME: Duration = Duration::from_secs(10);
 /// Size of the pieces in which a response is written, bytes.
 const PART: usize = 64 << 10;
 /// Time in which the bytes that follow a request are read and discarded. If a connection is closed
-/// with unread bytes, the client loses the response.
+/// with unread bytes, the client may lose the response.
 const LINGER: Duration = Duration::from_millis(500);
 
-/// Script that checks once a second whether the folder has changed, and then reloads the page. The
-/// page keeps its state in its address.
+/// Script that checks once a second whether the folder has changed. If so, the script reloads the
+/// page, which keeps its state in its address.
 const RELOAD: &str = "<script>{const was='STAMP';setInterval(async()=>{try{\
     const answer=await fetch('.stamp',{cache:'no-store'});if(answer.ok&&await answer.text()!==was)location.reload()\
     }catch{}},1000)}</script></body>";
@@ -85,8 +85,8 @@ pub(crate) struct Site<'a> {
 pub(crate) trait Feed: Sync {
     /// Returns the script that requests states.
     fn script(&self) -> &'static str;
-    /// Waits for a state that is newer than the state in the query, or for a timeout. Returns the
-    /// response, or `None` if no newer state has come by then.
+    /// Waits for a state or message that is newer than those in the query, or for a timeout.
+    /// Returns the response, or `None` if there is none by then.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
     /// Returns the secret that a query of [`look`](Self::look) must contain. `None` if pages may
     /// not move a viewer.
@@ -120,7 +120,8 @@ pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> O
                 if stop.load(Ordering::Relaxed) {
                     break;
                 }
-                // Accepting fails if no file descriptors are left, so wait until a connection ends.
+                // Accepting fails if no file descriptors are left. Another connection may end
+                // during this pause.
                 let Ok((stream, _)) = accepted else {
                     thread::sleep(Duration::from_millis(50));
                     continue;
@@ -173,7 +174,8 @@ struct Connection {
 impl Connections {
     /// Adds a connection and returns its number. If there are too many connections, the function
     /// closes the oldest connection without a complete request, or the oldest connection if all
-    /// requests are complete. `None` after [`Connections::end`].
+    /// requests are complete. Returns `None` after [`Connections::end`], or if the stream cannot be
+    /// cloned.
     fn add(&self, stream: &TcpStream) -> Option<u64> {
         let stream = stream.try_clone().ok()?;
         let mut open = locked(&self.0);
@@ -239,8 +241,8 @@ impl Reply {
     }
 }
 
-/// Answers one request. Calls `complete` when the request has been read. An error closes the
-/// connection, since it cannot be reported.
+/// Answers one request. Calls `complete` when the request has been read. An error only closes the
+/// connection, since errors of a connection cannot be reported.
 fn answer(mut stream: &TcpStream, site: Site<'_>, stamp: &Mutex<String>, complete: impl FnOnce()) {
     let request = match read_request(stream) {
         Ok(request) => request,
@@ -266,7 +268,7 @@ fn read_request(mut stream: &TcpStream) -> Result<Request, Option<Reply>> {
     let (mut head, mut part) = (Vec::new(), [0; 2048]);
     loop {
         let left = deadline.saturating_duration_since(Instant::now());
-        let late = || Some(Reply::text(408, "the request took too long\n"));
+        let late = || Some(Reply::text(408, "expected the head of the request within 5 s\n"));
         if left.is_zero() {
             return Err(late());
         }
@@ -290,7 +292,7 @@ fn read_request(mut stream: &TcpStream) -> Result<Request, Option<Reply>> {
             return parse(&head).map_err(Some);
         }
         if head.len() > HEAD {
-            return Err(Some(Reply::text(431, "the head of the request is too long\n")));
+            return Err(Some(Reply::text(431, "expected a head of at most 16 KiB, found a longer one\n")));
         }
     }
 }
@@ -301,17 +303,19 @@ fn parse(head: &[u8]) -> Result<Request, Reply> {
     let mut request = httparse::Request::new(&mut fields);
     match request.parse(head) {
         Ok(httparse::Status::Complete(_)) => {}
-        Err(httparse::Error::TooManyHeaders) => return Err(Reply::text(431, "too many fields\n")),
-        _ => return Err(Reply::text(400, "not a request of HTTP\n")),
+        Err(httparse::Error::TooManyHeaders) => {
+            return Err(Reply::text(431, "expected at most 64 header fields, found more\n"));
+        }
+        _ => return Err(Reply::text(400, "expected a request of HTTP, found other bytes\n")),
     }
     let method = request.method.unwrap_or_default().to_owned();
     if !matches!(method.as_str(), "GET" | "HEAD") {
-        return Err(Reply::text(405, "only GET and HEAD\n"));
+        return Err(Reply::text(405, "expected GET or HEAD, found another method\n"));
     }
     let field = |name: &str| request.headers.iter().find(|field| field.name.eq_ignore_ascii_case(name));
     let empty = field("Content-Length").is_none_or(|length| length.value.trim_ascii() == b"0");
     if !empty || field("Transfer-Encoding").is_some() {
-        return Err(Reply::text(413, "only requests without a body\n"));
+        return Err(Reply::text(413, "expected a request without a body, found one with a body\n"));
     }
     let host = field("Host").map(|host| String::from_utf8_lossy(host.value).into_owned());
     Ok(Request { method, target: request.path.unwrap_or_default().to_owned(), host })
@@ -386,7 +390,7 @@ fn reason(status: u16) -> &'static str {
 /// Makes the response to a request.
 fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &str) -> Reply {
     if !matches!(method, "GET" | "HEAD") {
-        return Reply::text(405, "only GET and HEAD\n");
+        return Reply::text(405, "expected GET or HEAD, found another method\n");
     }
     // This check prevents DNS rebinding: a foreign page whose name resolves to this machine sends
     // its own name as the host, and is refused.
@@ -394,7 +398,7 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
     let name =
         name.rsplit_once(':').filter(|(_, port)| port.bytes().all(|b| b.is_ascii_digit())).map_or(name, |(n, _)| n);
     if !["localhost", "127.0.0.1"].contains(&name) {
-        return Reply::text(403, "only for this machine: open http://localhost\n");
+        return Reply::text(403, "expected the host localhost or 127.0.0.1, found another\n");
     }
     let (path, query) = url.split_once('?').unwrap_or((url, ""));
     let path = path.split('#').next().unwrap_or_default();
@@ -411,11 +415,11 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
                     .map_or_else(|| Reply::text(204, ""), |frame| bytes("application/octet-stream", frame));
             }
             LOOK if feed.look(query) => return Reply::text(204, ""),
-            LOOK => return Reply::text(403, "expected the page's own secret and a slope\n"),
+            LOOK => return Reply::text(403, "expected the page's secret and a slope, found another query\n"),
             _ => {}
         }
     }
-    let missing = || Reply::text(404, "there is no such file in the preview\n");
+    let missing = || Reply::text(404, "expected the path of a file of this page, found another path\n");
     let Some(file) = file_of(site.root, path) else { return missing() };
     if file.file_name().is_some_and(|name| name == "index.html") {
         let Ok(bytes) = std::fs::read(&file) else { return missing() };
@@ -570,9 +574,9 @@ mod tests {
         (stream, text)
     }
 
-    /// A browser opens six connections at a time, and keeps as many as the server allows. The page
-    /// must also arrive over many open connections. This test uses real sockets on this machine
-    /// alone.
+    /// A browser opens six connections in parallel, and keeps every connection that the server
+    /// keeps. The page must also arrive over many open connections. This test uses real sockets on
+    /// this machine alone.
     #[test]
     fn browsers_with_many_connections_get_the_page() {
         const CONNECTIONS: usize = 24;

@@ -322,9 +322,9 @@ fn command_of(line: &str) -> Result<Command, String> {
     command.ok_or_else(|| format!("standard input: expected {expected}, found `{line}`"))
 }
 
-/// Prints an event of the presenter. If the event requests it, saves the display to `file`. Writes
-/// a report's list of submissions to `log`. Without `json`, the events `Started`, `Swapped`,
-/// `Looked` and `Warning` are not printed.
+/// Prints an event of the presenter. If the event requests that the display is saved, saves it to
+/// `file`. Writes a report's list of submissions to `log`. Without `json`, the events `Started`,
+/// `Swapped`, `Looked` and `Warning` are not printed.
 fn happened(event: &Value, json: bool, file: Option<&Path>, log: Option<&Path>) -> Result<(), PipelineError> {
     match serde_json::from_value(event.clone()) {
         Ok(Event::Save { display }) => match save(&display, file) {
@@ -395,6 +395,8 @@ fn print_report(report: &Report) {
             tally.late, tally.repeated, tally.dropped, tally.out_of_order
         )
     };
+    // Some platforms do not report when pictures were shown. Then only the times of submission are
+    // known.
     match (report.presented.is_empty(), &report.submitted) {
         (true, Some(submitted)) => say!(
             "by the times of submission: {}; the platform does not report when pictures were shown",

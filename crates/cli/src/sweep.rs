@@ -55,8 +55,7 @@ pub(crate) struct Sweep {
     /// display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Display")]
     display: Option<std::ffi::OsString>,
-    /// Columns and rows of the views. The resolutions of the display's layers change by the same
-    /// factor
+    /// Columns and rows of the views. The resolutions of the display's layers change in proportion
     #[arg(long, value_name = "CxR", help_heading = "Display")]
     resolution: Option<Size>,
     #[command(flatten)]
@@ -105,8 +104,8 @@ struct Axes {
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Search")]
 struct Search {
-    /// Search for the best design and propose it. All designs are solved with few iterations, and
-    /// only the promising designs are solved to the end
+    /// Search for the best design and propose it. All permitted designs are solved with few
+    /// iterations, and only the promising designs are solved to the end
     #[arg(long)]
     search: bool,
     /// Largest distance from the rearmost to the frontmost layer or lens array, millimetres

@@ -1,4 +1,4 @@
-//! Types of option values: sizes, angles, lists of numbers.
+//! Types of option values (sizes, angles, lists of numbers), and texts of sizes and durations.
 
 use std::str::FromStr;
 
@@ -29,7 +29,7 @@ impl FromStr for Angles {
         let parts: Option<Vec<f64>> = text.split(['x', '×']).map(|part| part.trim().parse().ok()).collect();
         match parts.as_deref() {
             Some(&[a, b]) if (0.0..180.0).contains(&a) && (0.0..180.0).contains(&b) => Ok(Self([a, b])),
-            _ => Err("expected two angles of 0 to less than 180 degrees, such as 20x20".into()),
+            _ => Err("expected two angles from 0 to less than 180 degrees, such as 20x20".into()),
         }
     }
 }

@@ -47,9 +47,10 @@ impl Display {
         display
     }
 
-    /// Returns this display adapted to a light field that already exists. Masks take the light
-    /// field's resolution and size. The new field of view makes the display's views as far apart as
-    /// the light field's. Lenslets scale with the masks. Distances and frames stay the same.
+    /// Returns this display adapted to a light field that already exists. Masks scale with the
+    /// resolution and the size of the light field. The new field of view makes the display's views
+    /// as far apart as the views of the light field. Lenslets scale with the masks. Distances and
+    /// frames stay the same.
     ///
     /// The backlight's bins follow the views per axis: the number of bins per view stays the same.
     /// So a backlight that was made for the display's views has one bin for each view of the light
@@ -57,8 +58,8 @@ impl Display {
     /// bins.
     ///
     /// # Errors
-    /// If the light field's rays spread over too many widths of a view. The backlight would then
-    /// need more than 64 bins along an axis, and more than two per view.
+    /// If the rays of the light field need more than 64 bins along an axis, and more than two per
+    /// view. Also if this display's view grid is invalid.
     pub fn adapted_to(&self, geometry: &FieldGeometry) -> Result<Self, DisplayError> {
         if self.geometry()? == *geometry {
             return Ok(self.clone());
@@ -125,8 +126,8 @@ impl Display {
         };
         let width = geometry.grid.bin_width()[axis];
         if width == 0.0 {
-            // A single view gets the number of bins that the display has per view. These bins
-            // spread over the slopes of all rays of the view.
+            // A single view gets the number of bins that the display has per view. These bins keep
+            // the display's angle, unless rays of the view leave it.
             let bins = (own_bins / own_views).round().max(1.0) as usize;
             let reach = outermost + fan;
             let fov_deg = if reach < bins_reach { own.fov_deg[axis] } else { full_angle_deg(reach * 1.001) };
@@ -167,8 +168,8 @@ impl Display {
         Ok((bins as usize, kept(own.fov_deg[axis], fov_deg)))
     }
 
-    /// Returns a sentence on how the backlight of `adapted` differs from this display's; `None` if
-    /// it does not differ.
+    /// Returns a sentence that states how the backlight of `adapted` differs from the backlight of
+    /// this display. `None` if both are equal, or if one of them is uniform.
     pub fn backlight_change(&self, adapted: &Self) -> Option<String> {
         let (Backlight::Lenslets(own), Backlight::Lenslets(now)) = (&self.backlight, &adapted.backlight) else {
             return None;

@@ -3,10 +3,11 @@
 //!
 //! Layers consist of squares of constant value. So along an axis the layer pixel that a ray reads
 //! changes only where the ray crosses an edge. Each axis of a field pixel is cut at all these
-//! edges: the edges of every layer, of the lenslets and of their bins. All rays between two cuts
-//! read the same values. So one ray represents the part of the pixel between two cuts, with the
-//! part's width as its weight. The intersections are separable, so the pixel's area is divided into
-//! products of a part along x and a part along y. Thus the mean over the area is exact.
+//! edges: the edges of the pixels of every layer, of the lenslets and of their bins. All rays
+//! between two cuts read the same values. So one ray represents the part of the pixel between two
+//! cuts, with the part's width as its weight. The intersections are separable, so the pixel's area
+//! is divided into products of a part along x and a part along y. Thus the mean over the area is
+//! exact.
 
 use crate::raymap::{Axis, AxisRay};
 use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};

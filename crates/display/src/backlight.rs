@@ -17,7 +17,8 @@ pub enum Backlight {
     Lenslets(LensletBacklight),
 }
 
-/// A lenslet grid in front of a panel: a light field emitter of low resolution (section 3.3).
+/// A lenslet grid in front of a panel: a light field emitter of low resolution (section 3.3 of the
+/// paper).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LensletBacklight {

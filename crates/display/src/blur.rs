@@ -7,9 +7,10 @@
 //! w_k ∝ exp(−k²/2σ²), |k| ≤ ⌈3σ⌉, Σ_k w_k = 1
 //! ```
 //!
-//! A plane is blurred along both axes. The divisor is 1 away from the borders; near them it keeps a
-//! constant plane constant. Let K be the symmetric matrix of weights w_k, and D the diagonal matrix
-//! of one over the divisors. Then the blur is the matrix D·K, and its transpose is K·D.
+//! A plane is blurred along both axes. The divisor is 1 away from the borders; near them the
+//! divisor keeps a constant plane constant. Let K be the symmetric matrix of weights w_k, and D the
+//! diagonal matrix of one over the divisors. Then the blur is the matrix D·K, and its transpose is
+//! K·D.
 //!
 //! The simple version makes two passes over the plane, with a loop over the weights for each pixel.
 //! Departures from the simple version:
@@ -84,6 +85,8 @@ impl PointSpread {
                 let divided = if TRANSPOSED { source } else { row };
                 self.taps[source + radius - row] * self.border_scale(divided, rows)
             }));
+            // Blur across the rows, and then along the line. The blur divides after its sums, the
+            // transpose before its sums.
             let line = &mut scratch[radius..radius + cols];
             weighted_sums(line, &weights, &input[sources.start * cols..], cols);
             if TRANSPOSED {

@@ -21,7 +21,7 @@ pub struct Display {
     pub version: u32,
     /// Name, as shown to the user.
     pub name: String,
-    /// Time-multiplexed frames M of one period, ≥ 1.
+    /// Number M of time-multiplexed frames in one period, ≥ 1.
     pub frames: usize,
     /// Refresh rate of the panels, hertz. A refresh shows one frame, or one colour of a frame; see
     /// [`period_hz`](Self::period_hz).
@@ -107,9 +107,9 @@ impl Display {
     pub const SCHEMA: &'static str = "lumistack/display";
 
     /// Returns a plain display of `frames` frames. Its layers at `d_mm` (rear to front,
-    /// millimetres) all have the field's pixels. It has oblique views, a uniform backlight, and
-    /// every other key at its default. `resolution` and `views` are [columns, rows], `fov_deg` full
-    /// angles in degrees. The values are not checked: call [`check`](Self::check).
+    /// millimetres) all have the field's pixels. The display has oblique views, a uniform
+    /// backlight, and every other key at its default. `resolution` and `views` are [columns, rows],
+    /// `fov_deg` full angles in degrees. The values are not checked: call [`check`](Self::check).
     ///
     /// ```
     /// use lumistack_display::{Display, Missing};
@@ -335,7 +335,7 @@ pitch_mm = 1.0
         assert_eq!(error.to_string(), "backlight.transfer.gamma: expected a number above 0, found 0");
     }
 
-    /// Returns the keys of a table, from the parser's error about an unknown key, which lists them.
+    /// Returns the keys of a table. The parser's error about an unknown key lists these keys.
     fn keys<T: serde::de::DeserializeOwned>() -> Vec<String> {
         let Err(error) = config::parse::<T>("no_such_key = 1") else { panic!("unknown keys are accepted") };
         let names: Vec<String> = error.message.split('`').skip(1).step_by(2).map(String::from).collect();

@@ -28,8 +28,7 @@ const ROUNDING: f64 = 1e-12;
 
 impl Display {
     /// Returns the highest spatial frequency that the display can show on a plane at `z_mm`, in
-    /// cycles per millimetre. This is the smaller ω(z) of the two axes. Returns infinity if neither
-    /// axis limits the frequency.
+    /// cycles per millimetre. This is the smaller ω(z) of the two axes.
     pub fn spatial_cutoff(&self, z_mm: f64) -> f64 {
         [0, 1].map(|axis| cutoff(&self.generators(axis), z_mm)).into_iter().fold(f64::INFINITY, f64::min)
     }
@@ -92,8 +91,8 @@ pub(crate) fn cutoff(generators: &[[f64; 2]], z_mm: f64) -> f64 {
     bounds.reduce(f64::min).unwrap_or_else(along)
 }
 
-/// Returns the interval of depths z with ω(z) ≥ `least`. Each segment of a layer limits the
-/// distance |z − d| from that layer, so the depths are an interval.
+/// Returns the interval of depths z with ω(z) ≥ `least`. The segment of a layer, or of the
+/// lenslets, limits the distance |z − d| from its plane, so the depths are an interval.
 fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
     let least = least * (1.0 - ROUNDING);
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);

@@ -1,8 +1,8 @@
 //! One layer: its position, the range of its values, and the response of its hardware.
 //!
 //! A stored value f is absolute: the transmittance (or emission, or rotation in units of 90°) of a
-//! mask pixel. The codes of a panel with the darkest value `black`, relative to the brightest value
-//! `peak`, give
+//! mask pixel. Let `peak` be a panel's brightest value, and `black` its darkest value relative to
+//! `peak`. The panel's codes give
 //!
 //! ```text
 //! f = peak · (black + (1 − black) · decode(code / (2^bits − 1)))

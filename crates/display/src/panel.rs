@@ -42,8 +42,8 @@ pub struct Panel {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homography: Option<[[f64; 3]; 3]>,
     /// Measured crosstalk in addition to `layers[].crosstalk`, which the patterns already account
-    /// for. It is compensated when the patterns are shown. Row = emitted channel, column = channel
-    /// of the picture.
+    /// for. The additional crosstalk is compensated when the patterns are shown. Row = emitted
+    /// channel, column = channel of the picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
     /// Interpolation of the mask at a panel pixel.

@@ -64,8 +64,8 @@ impl PanelStack {
         ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1)
     }
 
-    /// Makes the display. The plane of zero parallax is the middle layer, or the middle between the
-    /// two middle layers.
+    /// Makes the display. The plane of zero parallax is the middle layer or, for an even number of
+    /// layers, the middle between the rearmost and the frontmost layer.
     ///
     /// # Errors
     /// If a value is invalid.

@@ -1,8 +1,8 @@
 //! Intersections of the rays of a light field with the layers and the backlight.
 //!
-//! Column c of the field has its centre at x_c. Its ray at slope s hits layer n at pixel position
-//! u. This layer has the distance d_n, the offset o_n, the pitch p_n and W_n columns. The formula
-//! for rows is the same, with y down:
+//! Column c of the field has its centre at x_c. Layer n has the distance d_n, the offset o_n, the
+//! pitch p_n and W_n columns. The ray through x_c at slope s hits layer n at pixel position u. The
+//! formula for rows is the same, with y down:
 //!
 //! ```text
 //! u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2

@@ -10,7 +10,7 @@ pub enum Sampling {
     /// The value of the pixel that the ray hits.
     #[default]
     Nearest,
-    /// A mixture of the values of the four pixels around the intersection, by their distance.
+    /// A mean of the values of the four pixels around the intersection, weighted by their distance.
     Bilinear,
 }
 

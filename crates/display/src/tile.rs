@@ -337,8 +337,8 @@ impl Tile {
         FieldGeometry { rows, cols, pitch_mm: whole.pitch_mm, grid }
     }
 
-    /// Returns the intersections of the tile's rays with its pixels. They are copied from the whole
-    /// display's map, so that no position is rounded again.
+    /// Returns the intersections of the tile's rays with its pixels. These intersections are copied
+    /// from the map of the whole display, so that no position is rounded again.
     pub fn map(&self, whole: &RayMap) -> RayMap {
         let tap = |tap: &Tap, first: usize| {
             let shifted = |pixel: u32| pixel.wrapping_sub(first as u32);

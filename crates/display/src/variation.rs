@@ -98,8 +98,8 @@ impl Variation {
     }
 }
 
-/// Largest number of layers. Larger numbers are surely mistakes, since so many layers would
-/// transmit no light.
+/// Largest number of layers. Larger numbers are surely mistakes, since such a stack would transmit
+/// no light.
 const MOST_LAYERS: usize = 64;
 
 #[cfg(test)]

@@ -99,7 +99,7 @@ impl JsonSchema for Views {
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         json_schema!({
-            "description": "The views that sample the zone: `\"auto\"` for as many as the display needs to be correct between views, a number of columns and rows, or a step of slopes.",
+            "description": "The views that sample the zone: `\"auto\"` for the number that the display needs to be correct between views, a number of columns and rows, or a step of slopes.",
             "anyOf": [{ "const": "auto" }, <[usize; 2]>::json_schema(generator), Steps::json_schema(generator)],
         })
     }

@@ -2,7 +2,8 @@
 //!
 //! The zone of an oblique light field is the set of slopes s with |s_x| ≤ tan(α_x/2) and |s_y| ≤
 //! tan(α_y/2). The zone of a perspective light field is the set of eye positions D·s for these
-//! slopes, where D is the viewing distance. With eye boxes, the zone is the union of the boxes.
+//! slopes, where D is the viewing distance. With eye boxes, the zone is a disc of eye positions in
+//! each box.
 //!
 //! The score `psnr_zone` is −10 log₁₀ of the mean squared error between seen picture / β and the
 //! scene's picture. The mean is over directions that are spread over the whole zone and that the
@@ -82,8 +83,8 @@ impl Zone {
 pub struct DirectionScore {
     /// Slope (x, y) at the centre of the field.
     pub slope: [f64; 2],
-    /// Mean squared error over pixels and channels. If the true error is tiny, noise may make it
-    /// slightly negative.
+    /// Mean squared error over pixels and channels. If the true error is tiny, noise may make this
+    /// value slightly negative.
     pub mse: f64,
     /// Number of pixels that are scored.
     pub pixels: usize,

@@ -1,4 +1,4 @@
-//! Commands on standard input, one JSON object a line, and head positions by UDP.
+//! Commands on standard input, one JSON object per line, and head positions by UDP.
 
 use std::io::BufRead;
 use std::net::UdpSocket;
@@ -87,7 +87,7 @@ fn commands_of(line: &str) -> Result<Vec<Command>, String> {
             ("time", value) if value.is_number() || value.is_null() => {
                 Ok(Command::Set(vec![("pose.time_s".into(), value)]))
             }
-            ("time", value) => wrong("seconds, or null for the scene without its animation", &value),
+            ("time", value) => wrong("seconds, or null for the default pose of the scene", &value),
             ("viewers", value) => match serde_json::from_value(value.clone()) {
                 Ok(heads_mm) => Ok(Command::Viewers(heads_mm)),
                 Err(_) => wrong("a list of positions [x, y, z] in millimetres", &value),

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! The socket listens on the loopback interface. Only one program at a time can be attached. When
-//! the program has sent its last line, the display keeps its state.
+//! the program has sent its last line, it is detached, and the display keeps its state.
 
 use std::io::{self, BufReader, Cursor, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
@@ -42,9 +42,9 @@ pub(super) struct Events {
 #[derive(Default)]
 struct Attached {
     program: Option<TcpStream>,
-    /// Number of programs so far.
+    /// Number of programs that have been attached.
     number: u64,
-    /// The last events `serving` and `state`, which the next program receives first.
+    /// The last events `serving` and `state`, which the next program receives after `attached`.
     last: [Option<Value>; 2],
 }
 
@@ -53,7 +53,7 @@ impl Events {
         Self { json, attached: Mutex::default() }
     }
 
-    /// Sends an event to standard output and to the attached program.
+    /// Sends an event to the attached program, and with `--json` also to standard output.
     pub(super) fn say(&self, event: &Value) {
         if self.json {
             say!("{event}");
@@ -87,7 +87,7 @@ impl Events {
         Ok(Some(attached.number))
     }
 
-    /// Detaches the program, after the last event.
+    /// Detaches the program. Call this function after the last event.
     pub(super) fn end(&self) {
         lock(&self.attached).end();
     }
@@ -158,8 +158,8 @@ impl Door {
         }
     }
 
-    /// Attaches the program if its first line has the token; otherwise sends the program one
-    /// message.
+    /// Attaches the program if its first line has the token and no other program is attached.
+    /// Otherwise sends the program one message.
     fn greet(&self, program: &TcpStream, requests: &Arc<Requests>, events: &Arc<Events>) -> io::Result<()> {
         // on some systems, a connection inherits this setting from the listening socket
         program.set_nonblocking(false)?;
@@ -197,7 +197,7 @@ impl Drop for Door {
     }
 }
 
-/// Reads the first line of a program, and the bytes that came with it.
+/// Reads the first line that a program sends, and the bytes that arrived after this line.
 fn first_line(mut program: &TcpStream) -> io::Result<(Vec<u8>, Vec<u8>)> {
     let deadline = now() + FIRST_TIME;
     let (mut line, mut part) = (Vec::new(), [0; FIRST]);

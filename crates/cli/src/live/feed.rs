@@ -10,10 +10,10 @@
 //!     moves a page's viewer, who counts as a tracked head; without x and y the viewer leaves
 //! ```
 //!
-//! An edition is a version of preview.json. WORD is a secret that the page has received. In the
-//! query of `/.live`, `after` is the number of the page's state. `edition` names the page's
-//! edition, and `said` is the number of its message. In the response, `files` has the length of
-//! each file that preview.json lists, in the order of this list. In the response, `said` is the
+//! An edition is a version of preview.json. WORD is a secret that the page has received. The query
+//! of `/.live` describes the content of the page: `after` is the number of the state, `edition` the
+//! name of the edition, and `said` the number of the message. In the response, `files` has the
+//! length of each file that preview.json lists, in the order of this list. There `said` is the
 //! number of the newest message. The response contains the text of preview.json if the page has
 //! another edition. A response without a newer state has no files.
 
@@ -209,8 +209,9 @@ fn value<'a>(query: &'a str, name: &str) -> Option<&'a str> {
 
 /// A page's request.
 struct Asked<'a> {
-    /// Number of the page's state, and of its message (`said`); 0 if the page has none.
+    /// Number of the page's state; 0 if the page has no state.
     number: u64,
+    /// Number of the page's message; 0 if the page has no message.
     said: u64,
     edition: &'a str,
 }

@@ -25,7 +25,7 @@ pub(super) struct Requests {
     /// The newest request.
     pub(super) newest: Mailbox<Request>,
     tracker: Mutex<Tracker>,
-    /// Cancels the running pass, whose light field is useless after a newer request.
+    /// The cancel flag of the running pass, whose light field is useless after a newer request.
     pass: Mutex<Option<Cancel>>,
     stopped: AtomicBool,
     /// True if the end of standard input also stops the display.
@@ -88,7 +88,7 @@ impl Requests {
         self.cancel_pass();
     }
 
-    /// Takes the positions of all viewers.
+    /// Stores the positions of all viewers.
     pub(super) fn see(&self, heads_mm: &[[f64; 3]], eyes: Eyes) -> Result<(), lumistack_live::HeadError> {
         lock(&self.tracker).see(heads_mm, eyes, now())
     }

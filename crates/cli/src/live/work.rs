@@ -20,7 +20,7 @@ use super::requests::{Requests, lock};
 const IDLE: Duration = Duration::from_millis(20);
 /// Time that the renderer sleeps while the solver is busy.
 const SHORT: Duration = Duration::from_millis(2);
-/// Largest number of iterations for one light field.
+/// Largest number of iterations for a light field while the viewers stay.
 const MOST_UPDATES: u32 = 60;
 /// Longest step of the solver, seconds: a good state that comes late looks worse than a fair state
 /// that comes soon.
@@ -219,7 +219,7 @@ pub(super) fn solve(mut solver: LiveSolver, shared: &Shared, task: Task<'_>) -> 
             continue;
         }
         let (start, target) = (now(), on.request.target.clone());
-        // Run as many iterations as fit into [`STEP_S`] seconds.
+        // Limit the iterations to [`STEP_S`] seconds, but run at least one.
         let affordable = if update_s > 0.0 { (STEP_S / update_s) as u32 } else { 1 };
         let updates = affordable.clamp(1, shared.updates).min(on.left);
         match solver.step(&target, &on.rays, updates, task) {
