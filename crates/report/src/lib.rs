@@ -36,10 +36,11 @@
 //! | `ssim`, `flip` | means over the measured target views |
 //! | `pixels_per_degree` | pixels per degree of visual angle, for FLIP |
 //! | `brightness` | β |
-//! | `light` | luminances relative to the backlight's: `emitted` (mean of L̃), `wanted` (mean of L) and `open`: the luminance, from straight ahead, of a display with all pixels at their brightest. `text` says the same in words |
+//! | `light` | luminances relative to the backlight's: `emitted` (mean of L̃), `wanted` (mean of L) and `open`: the luminance, from straight ahead, of a display with all pixels at their brightest. `text` states them in a few sentences |
 //! | `views` | The target's `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`. Arrays `[view_y][view_x]`: `psnr_view` (dB), `ssim`, `flip` and `counted_share` (fraction of rays that scores include, 0..1) |
 //! | `held_out`, `outside` | null, or the same keys as `views` for views that the solver did not use: held-out views, and views outside of the zone. Also `overall_psnr_view`, `overall_psnr_raw`, `overall_ssim` and `overall_flip` |
-//! | `limits` | list, the largest first, of `name`, `decibels`, `text` and `figures` (the numbers of the measurement). `decibels` is the gain of psnr_view if the effect were absent; null if one run cannot determine it |
+//! | `limits` | list, the largest first and the limit `Frames` last, of `name`, `decibels`, `text` and `figures` (the numbers of the measurement). `decibels` is the gain of psnr_view if the effect were absent; null if one run cannot determine it. For `Brightness` it is the gain with 10 % more light, for `Iterations` with twice as many iterations |
+//! | `solution` | null, or `solver`, `start`, `coarse_levels`, `kkt_residual`, and `levels`: null, or psnr_view (dB) of the stacks `continuous`, `rounded` and `reoptimized` |
 //! | `depth` | null, or over the rays of all views with a hit: `depth_of_field_mm` ([low, high] or null), fractions `inside` it, `inside_middle` (of the central view) and `beyond_a_pixel`. Also the percentiles `depth_mm` and `disparity_px` (between neighbouring views), two histograms, and the numbers `window_moved_back_mm` and `depth_scale` |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
 //! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by that time |

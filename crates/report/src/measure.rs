@@ -50,7 +50,7 @@ pub(crate) struct ZoneLooks {
 
 /// Maximum number of pixels in the four pictures of the large comparison.
 const HEADLINE_BUDGET: usize = 2_000_000;
-/// Maximum number of pixels in all other comparisons.
+/// Maximum number of pixels in all pictures of [`Measured::rows`].
 const ROWS_BUDGET: usize = 4_000_000;
 
 pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, ReportError> {
@@ -72,8 +72,9 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     }
     let targets = shown.len();
     let zone = input.zone.map(|zone| zone_looks(&judge, zone, &mut shown));
-    // The large comparison shows the median direction of the zone, if there is one. Its reference
-    // has more samples than a view of the target. `zone_looks` adds this direction last.
+    // The large comparison shows the median direction of the zone, if there is one. If the
+    // reference is a render, it has more samples than a view of the target. `zone_looks` adds this
+    // direction last.
     let median_of_zone = (shown.len() > targets).then(|| shown.len() - 1);
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {
@@ -89,8 +90,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let held_out = others(input.held_out, between)?;
     let outside = others(input.outside, grid.outside(1))?;
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
-    // Held-out views are often far worse than target views. So the pictures of their errors have an
-    // amplification of their own. A common amplification would hide the errors of target views.
+    // Directions of the zone and held-out views are often far worse than target views. With a
+    // common amplification, the errors of target views would be invisible. So there are two.
     let (amplification, other_amplification) = (errors(&shown[..targets]), errors(&shown[targets..]));
     let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =

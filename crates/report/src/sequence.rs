@@ -28,7 +28,7 @@ use crate::{ReportError, page};
 /// Longer side of a thumbnail, pixels.
 const THUMBNAIL: usize = 200;
 
-/// A small picture in linear light; the values it shows are in 0..1.
+/// A small picture in linear light. Values outside of 0..1 are clamped when it is encoded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Thumbnail(Linear);
 
@@ -60,7 +60,7 @@ pub struct SequenceTime {
     /// Error of L̃/β against L.
     pub error: SquaredError,
     /// Error of the change since the previous time step: the change of L̃/β against the change of
-    /// L.
+    /// L. `None` for the first time step.
     pub change: Option<SquaredError>,
     /// The error `change` over rays with a constant target, if there are such rays.
     pub still: Option<SquaredError>,

@@ -8,7 +8,7 @@ use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
 const MOST: usize = 7;
 
 /// Returns evenly spread views of a light field, including the central and the outermost views,
-/// with their weights. `None` if the light field has few enough views.
+/// with their weights. `None` if the light field has at most [`MOST`] views along each axis.
 pub(crate) fn thinned(field: &LightField, weights: &Weights) -> Option<(LightField, Weights)> {
     let geometry = field.geometry();
     let views = geometry.grid.views();

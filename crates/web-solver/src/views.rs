@@ -29,7 +29,8 @@ pub(crate) struct Picked {
 /// Number of pixels of traced views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Detail {
-    /// Half of the rows and columns, for the first picture. It takes a quarter of the time.
+    /// Half of the rows and columns, for the first picture. One path per pixel then takes a quarter
+    /// of the time.
     Coarse,
     /// All pixels of the display's light field.
     Full,
@@ -238,12 +239,13 @@ impl Views {
         y * self.geometry.grid.views()[1] + x
     }
 
-    /// Makes a light field of the picked views, as the command does. It averages the light that all
-    /// views share, adds splats, applies exposure and tone curve, and rounds. At the end, coarse
-    /// views are interpolated to all pixels.
+    /// Makes a light field of the picked views. The steps are those of the command: average the
+    /// light that all views share, add splats, apply exposure and tone curve, and round. At the
+    /// end, coarse views are interpolated to all pixels.
     ///
     /// # Errors
-    /// If depths, which the average needs, cannot be traced.
+    /// If the depths, from which the exposure is chosen, cannot be traced, or the light cannot be
+    /// averaged.
     pub(crate) fn field(&mut self, picked: &Picked, detail: Detail, task: Task<'_>) -> Result<LightField, Error> {
         let of_display = picked.of(&self.geometry);
         let traced = picked.of(&self.traced(detail).geometry);

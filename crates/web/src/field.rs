@@ -31,7 +31,9 @@ impl Field {
         let (rows, cols) = (size[0], size[1]);
         if !bytes.is_some_and(|bytes| (4..=LIMIT).contains(&bytes)) {
             let found = format!("{} × {} views of {cols} × {rows} pixels", views[1], views[0]);
-            return Err(err(format!("light field: expected 1 byte to 1 GiB of pixels, found {found}")));
+            return Err(err(format!(
+                "light field: expected at least one pixel, and at most 1 GiB with 4 bytes per pixel, found {found}"
+            )));
         }
         Ok(Self { size, views, codes: vec![None; views[0] * views[1]] })
     }

@@ -48,7 +48,7 @@ pub struct Slots {
 }
 
 impl Model {
-    /// Makes a preview without pictures; [`Self::put`] adds pictures.
+    /// Makes a model without pictures; [`Self::put`] adds pictures.
     ///
     /// # Errors
     /// If the text is no valid preview; see [`Preview::from_json`].

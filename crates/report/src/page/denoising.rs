@@ -6,7 +6,7 @@ use super::{figure, legend};
 use crate::picture::{DIVERGING, Encoding, Linear, amplification, difference, shrink_factor, signed_error};
 use crate::{ReportError, ReportInput, format};
 
-/// Maximum number of pixels of the three pictures.
+/// Maximum number of pixels of the three pictures together.
 const BUDGET: usize = 1_500_000;
 
 pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
