@@ -234,12 +234,14 @@ impl Encode {
 }
 
 impl ImagesParams {
+    /// Checks that at least one output is requested, and that no output needs another one.
+    ///
     /// # Errors
-    /// If parameters contradict one another.
+    /// If no output is requested, or `lenslet_panel` is set without a format of pictures.
     pub(crate) fn check(&self) -> Result<(), PluginError> {
         if !self.atlas && !self.writes_views() {
             let text =
-                "parameters `png8`, `png16`, `exr` and all others that write are false: there is nothing to write";
+                "parameters: expected at least one output, such as `png8`, found none: there is nothing to write";
             return Err(PluginError::Refused(text.into()));
         }
         if self.lenslet_panel && !self.writes_pictures() {
@@ -257,7 +259,7 @@ impl ImagesParams {
         if self.writes_views() {
             return Ok(());
         }
-        let text = "parameters: a light field has neither masks nor a panel, and no other output is enabled";
+        let text = "parameters: expected an output of views, since a light field has neither masks nor a panel, found none";
         Err(PluginError::Refused(text.into()))
     }
 
