@@ -16,7 +16,8 @@ pub(crate) fn lenslet_panel<'a>(
     params: &ImagesParams,
 ) -> Result<(&'a LensletBacklight, LensletPanel), PluginError> {
     let Backlight::Lenslets(backlight) = &display.backlight else {
-        let text = "parameter `lenslet_panel`: expected a display with a backlight of lenslets, found a uniform backlight";
+        let text =
+            "parameter `lenslet_panel`: expected a display with a backlight of lenslets, found a uniform backlight";
         return Err(PluginError::Refused(text.into()));
     };
     let rear = &display.layers[0];

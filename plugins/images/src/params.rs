@@ -259,7 +259,8 @@ impl ImagesParams {
         if self.writes_views() {
             return Ok(());
         }
-        let text = "parameters: expected an output of views, since a light field has neither masks nor a panel, found none";
+        let text =
+            "parameters: expected an output of views, since a light field has neither masks nor a panel, found none";
         Err(PluginError::Refused(text.into()))
     }
 

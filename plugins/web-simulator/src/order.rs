@@ -1,8 +1,8 @@
 //! Sorts the frames so that the mean of the first few frames is as near as possible to the mean of
 //! all frames.
 
-/// Smallest side of the boxes over which a frame's picture is summed, pixels. Frames are compared by
-/// these sums, since the eye averages the noise of single pixels.
+/// Smallest side of the boxes over which a frame's picture is summed, pixels. Frames are compared
+/// by these sums, since the eye averages the noise of single pixels.
 const BOX: usize = 8;
 /// Largest number of boxes along a side, so that even a large frame needs little memory.
 const ACROSS: usize = 64;
