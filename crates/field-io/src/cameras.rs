@@ -203,8 +203,8 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     })
 }
 
-/// Mean camera centre of each column (X, right) and of each row (Y, down). The order is that of the
-/// row and column numbers in the names.
+/// Mean camera centre of each column (X, right) and of each row (Y, down). Both lists have the
+/// order of the numbers in the names.
 struct Centres {
     x: Vec<f64>,
     y: Vec<f64>,

@@ -59,7 +59,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let mut sheets = SheetPair::new(input.target.geometry());
     let keep = outstanding_views(grid);
     let geometry = input.target.geometry();
-    // The explorer of views shows seen pictures instead of the emission along rays.
+    // The section "Look around" shows seen pictures instead of the emission along rays.
     let mut place = |view, _: &EmittedView| sheets.place(view, input, &judge.simulator.seen(geometry, view));
     let (target, mut shown) = field(&judge, input.target, input.weights, &keep, task, &mut place)?;
     if let Some(worst) = target.worst_view().filter(|worst| !keep.contains(worst)) {

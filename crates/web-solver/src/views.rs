@@ -322,7 +322,7 @@ impl Traced {
 }
 
 /// Interpolates the pixels of a light field bilinearly at the centres of the finer pixels of
-/// `geometry`. Both have the same centre and the same views.
+/// `geometry`. The two geometries have the same centre and the same views.
 fn finer(coarse: &LightField, geometry: FieldGeometry) -> Result<LightField, Error> {
     let from = coarse.geometry();
     let taps = |count: usize, of: usize| -> Vec<(usize, usize, f32)> {

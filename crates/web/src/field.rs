@@ -75,7 +75,7 @@ impl Field {
         if view[0] >= self.views[0] || view[1] >= self.views[1] {
             let [last_y, last_x] = self.views.map(|n| n - 1);
             return Err(err(format!(
-                "light field: expected a view up to {last_y}, {last_x}, found {}, {}",
+                "light field: expected a view up to row {last_y}, column {last_x}, found row {}, column {}",
                 view[0], view[1]
             )));
         }

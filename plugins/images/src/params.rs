@@ -115,7 +115,7 @@ pub(crate) fn schema() -> Schema {
             "bits",
             0,
             0..=16,
-            "Bits per channel of the panels, for masks in PNG pictures. 0 uses the bits that the display file states, or the bits of the picture if the file states none. A code of fewer bits fills the picture's highest bits.",
+            "Bits per channel of the panels, for masks in PNG pictures, if encode is panel. 0 uses the bits that the display file states, or the bits of the picture if the file states none. A code of fewer bits fills the picture's highest bits.",
         )
         .unit("bits"),
         Param::choice(
@@ -127,7 +127,7 @@ pub(crate) fn schema() -> Schema {
                 ("blue_noise", "A threshold map of 64 × 64 pixels without low frequencies."),
                 ("diffusion", "Error diffusion to neighbouring pixels (Floyd and Steinberg)."),
             ],
-            "Dithering of masks between two codes of their panel; dithering preserves the mean light.",
+            "Dithering of masks between two codes of their panel, if encode is panel; dithering preserves the mean light.",
         ),
         Param::choice(
             "views",

@@ -29,7 +29,7 @@ fn cuts(length: usize) -> Vec<usize> {
 }
 
 /// Truncates a file at many lengths. `read` must fail for each length, and succeed for the whole
-/// file. The last `idle` bytes carry no data, so the file is not cut within them.
+/// file. The last `idle` bytes contain no data, so the file is not cut within them.
 fn truncate(file: &Path, idle: usize, read: impl Fn() -> Result<(), String>) {
     let whole = fs::read(file).unwrap();
     for cut in cuts(whole.len() - idle) {
@@ -278,7 +278,8 @@ fn incomplete_and_doubtful_folders_are_errors() {
         save_png(&folder.path().join(format!("input_Cam{number:03}.png")), [4, 4], |_, _| [9; 3]);
     }
     assert!(
-        plain_error(folder.path()).ends_with("expected num_cams_x and num_cams_y in parameters.cfg, found 3 pictures")
+        plain_error(folder.path())
+            .ends_with("expected num_cams_x and num_cams_y in parameters.cfg, found 3 pictures without these numbers")
     );
     fs::write(folder.path().join("parameters.cfg"), "[extrinsics]\nnum_cams_x = 3\nnum_cams_y = 1\n").unwrap();
     assert!(plain_error(folder.path()).ends_with("expected input_Cam000 to input_Cam002, found no input_Cam002"));

@@ -109,7 +109,7 @@ fn plots(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
         section id=(id) {
             h2 { "Error and flicker over time" }
             p {
-                "Left: the PSNR of every time step. The first time step has no warm start. If the curve falls after it, more iterations at later time steps help."
+                "Left: the PSNR of every time step. The first time step has no warm start. If the curve falls after the first time step, more iterations at later time steps help."
                 @if flicker.is_some() {
                     " Next: flicker, the unwanted change. Flicker is the rms, over all rays and channels, of the change of the error L̃/β − L since the previous time step, in dB below full "
                     "brightness, so higher means less flicker. A constant error does not flicker. If errors of time steps are independent, flicker is 3 dB below the PSNR."
