@@ -122,7 +122,12 @@ fn grid_size(folder: &Path, parameters: &Parameters, count: usize, task: Task<'_
     let side = count.isqrt();
     if side * side != count {
         let expected = format!("num_cams_x and num_cams_y in {PARAMETERS}");
-        return Err(FieldError::malformed(folder, "views", expected, format!("{count} pictures without these numbers")));
+        return Err(FieldError::malformed(
+            folder,
+            "views",
+            expected,
+            format!("{count} pictures without these numbers"),
+        ));
     }
     task.warn(place(folder), format!("no {PARAMETERS} with the arrangement of the cameras; {side} × {side} is used"));
     Ok([side, side])

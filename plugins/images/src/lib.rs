@@ -20,9 +20,9 @@
 //! adapted viewer.
 //!
 //! Names of 16-bit PNGs end in `_16bit.png`, except in `hci/` and `stanford/`. EXR and NPZ files
-//! contain the values themselves, linear. On request, PNGs have codes proportional to light; their
-//! names end in `_linear.png`. The second time step of a sequence is written to `t0001/`, the third
-//! to `t0002/`, and so on.
+//! contain the values themselves, linear. If `encode` is `linear`, PNGs of masks and views have
+//! codes proportional to light, and names with `_linear` at the end. The second time step of a
+//! sequence is written to `t0001/`, the third to `t0002/`, and so on.
 //!
 //! Memory does not grow with the number of frames. `views.exr` needs twice the memory of all views.
 
