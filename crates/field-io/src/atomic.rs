@@ -124,7 +124,8 @@ pub(crate) fn publish(beside: tempfile::NamedTempFile, path: &Path) -> io::Resul
 /// Age below which a temporary file may have a writer that has not locked it yet.
 const YOUNG: Duration = Duration::from_secs(2);
 
-/// Returns true for a temporary file of [`fn@write`] whose writer was killed or stopped.
+/// Returns true for a temporary file without a writer: the writer was killed or stopped, or the
+/// file was set aside.
 pub fn is_abandoned(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {

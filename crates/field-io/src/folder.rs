@@ -1,5 +1,5 @@
-//! Our light-field folder: `lightfield.json` with the geometry of every view, and a half-float
-//! OpenEXR picture per view.
+//! Our light-field folder: `lightfield.json` with the geometry of every view, and an OpenEXR
+//! picture per view, usually of half floats.
 //!
 //! ```json
 //! { "schema": "lumistack/lightfield", "version": 1, "linear": true,

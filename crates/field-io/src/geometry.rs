@@ -60,7 +60,7 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
 }
 
 /// Values that are used if neither flags nor files define them. If a value is `None` here too,
-/// opening fails.
+/// opening fails. But no angle is needed for a single view, or if the cameras' slopes are known.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
     /// Width of the light field on the display plane z = 0, millimetres.

@@ -11,7 +11,8 @@ use crate::format::{self, figure};
 const BARS: usize = 60;
 /// Number of depths at which the bound on the spatial frequency is sampled.
 const CURVE_POINTS: usize = 241;
-/// Fraction of the depths that histograms omit at either end.
+/// Fraction of the depths at either end, and of the disparities at the upper end, that histograms
+/// omit.
 const STRAY: f64 = 0.005;
 /// The report gives advice if a smaller fraction of hits than this is in the depth of field. Then
 /// the display does not suit the scene, or the window is misplaced.

@@ -1,4 +1,4 @@
-//! Simulates every view once. Computes the scores of the views, and the pictures of the page.
+//! Simulates every view. Computes the scores of the views, and the pictures of the page.
 
 mod names;
 mod score;
@@ -41,7 +41,7 @@ pub(crate) struct Measured {
     pub(crate) has_dropped_rays: bool,
 }
 
-/// SSIM and FLIP over the directions of the zone that have reference pictures.
+/// SSIM and FLIP over the directions of [`ZoneFigures::views`].
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ZoneLooks {
     pub(crate) ssim: Mean,
@@ -91,7 +91,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let outside = others(input.outside, grid.outside(1))?;
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
     // Directions of the zone and held-out views are often far worse than target views. With a
-    // common amplification, the errors of target views would be invisible. So there are two.
+    // common amplification, the errors of target views would be invisible. So target views have an
+    // amplification of their own.
     let (amplification, other_amplification) = (errors(&shown[..targets]), errors(&shown[targets..]));
     let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =
@@ -118,8 +119,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     })
 }
 
-/// Returns the scores of the directions of the zone that have reference pictures. Adds the worst
-/// direction and then the median direction to `shown`.
+/// Returns SSIM and FLIP over the directions of [`ZoneFigures::views`]. Adds the worst and then the
+/// median of these directions to `shown`.
 fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> ZoneLooks {
     let mut views: Vec<_> = zone.views.par_iter().map(|view| (view, judge.zone_view(view))).collect();
     let looks = views.iter().fold(ZoneLooks::default(), |sum, (_, figures)| ZoneLooks {

@@ -25,7 +25,7 @@ use crate::format::figure;
 use crate::picture::{Embedded, Encoding, Linear};
 use crate::{ReportError, page};
 
-/// Longer side of a thumbnail, pixels.
+/// Largest length of a thumbnail's longer side, pixels.
 const THUMBNAIL: usize = 200;
 
 /// A small picture in linear light. Values outside of 0..1 are clamped when it is encoded.
@@ -53,7 +53,7 @@ impl Thumbnail {
 pub struct SequenceTime {
     /// Name of the time step's folder, such as "t0001".
     pub name: String,
-    /// Origin of the time step's light field.
+    /// Text that names the source of the time step's light field.
     pub source: String,
     /// Path of the time step's report relative to the sequence's report, if it has one.
     pub report: Option<String>,

@@ -2,7 +2,7 @@
 //! respond to the user.
 //!
 //! ```text
-//! Files ──scene──▶ Scene ──subject──▶ Subject ──views──▶ light field ──work──▶ patterns
+//! Files ──scene──▶ Scene ──light──▶ LitScene ──views──▶ light field ──work──▶ patterns
 //! ```
 //!
 //! Each call of [`Work::advance`] computes one piece, such as a view or an iteration of the solver.

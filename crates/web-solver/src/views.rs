@@ -48,7 +48,7 @@ pub(crate) struct Views {
     denoise: Denoise,
     light: LightJob,
     splats: Vec<Option<Tensor<3>>>,
-    /// True for views that another thread was asked to trace.
+    /// True for views that were given to another thread to trace.
     given: Vec<bool>,
     /// Depths of all views, once they are traced.
     depths: Option<Depths>,

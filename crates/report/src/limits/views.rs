@@ -59,7 +59,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         return Ok(Vec::new());
     }
     task.cancel.check()?;
-    // Measure the three views, each matched with a neighbour.
+    // Measure the views (two or three), each matched with a neighbour.
     let mut places = vec![(0, 1), (middle, if middle < last { middle + 1 } else { middle - 1 }), (last, last - 1)];
     places.dedup_by_key(|(place, _)| *place);
     let (low, high) = depth_range(input.display);
