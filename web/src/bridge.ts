@@ -79,7 +79,7 @@ function panelOf({ value }: Value): Panel[] {
   return [{ name: String(device["hwid"]?.value ?? kind), columns: tileX, rows: tileY }];
 }
 
-/** Sends a request. With `refusable`, Bridge may refuse the request, for example since the named list does not exist. */
+/** Sends a request. With `refusable`, Bridge may refuse the request, for example if the named list does not exist. */
 async function ask(what: string, content: object, refusable = false): Promise<Answer> {
   let answer: Answer;
   try {
@@ -98,7 +98,7 @@ async function ask(what: string, content: object, refusable = false): Promise<An
     );
   }
   const status = answer.status?.value;
-  if (status !== "Completion" && status !== "Pending" && !refusable) throw strange(what, "“Completion”", status);
+  if (status !== "Completion" && status !== "Pending" && !refusable) throw strange(what, "“Completion” or “Pending”", status);
   return answer;
 }
 

@@ -11,7 +11,7 @@ export interface Content {
   readonly info: Info;
   /** Numbers of the frames of which all files have arrived, in rising order. */
   readonly frames: readonly number[];
-  /** True if every file has arrived or failed, so that the picture will not change any more. */
+  /** True if all frames are complete, or every file has arrived or failed. Then the picture stays the same. */
   readonly whole: boolean;
   /** Creates or releases the graphics context, as `wish` states. */
   attach(wish: Wish): void;

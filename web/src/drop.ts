@@ -15,7 +15,10 @@ const ROW_COL = [/^view[_-](\d+)[_-](\d+)\b/i, /^out[_-](\d+)[_-](\d+)[_-]/i, /(
 const RUNNING = /(\d+)\.[a-z]+$/i;
 const MOST_FILES = 20000;
 
-/** Returns the dropped files by path, including all files in dropped folders. */
+/**
+* Returns the dropped files by path, including the files in dropped folders. If there are more than
+* MOST_FILES files, it returns only a part of them.
+*/
 export async function filesOf(transfer: DataTransfer): Promise<Map<string, File>> {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.() ?? null);
   const files = new Map<string, File>();

@@ -67,7 +67,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
   stage.addEventListener("pointercancel", end);
 }
 
-/** Handles a key; returns true if it has a function. */
+/** Handles a key; returns true if the key has a function. */
 export function handleKey(event: KeyboardEvent, motion: Motion, target: InputTarget): boolean {
   if (event.ctrlKey || event.metaKey || event.altKey) return false;
   const arrow = ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] } as Record<string, [number, number]>)[event.key];

@@ -98,7 +98,7 @@ export function calibrationOf(text: string, name: string): Calibration {
     return order.map((place) => [at[2 * place]!, at[2 * place + 1]!] as [number, number]);
   });
   const wanted = [1, 2, 2, 4, 2][pattern]!;
-  if (cells.length > 0 && cells.length < wanted) throw wrong("subpixelCells: ", `${wanted} kinds of pixels`, cells.length);
+  if (cells.length > 0 && cells.length < wanted) throw wrong("subpixelCells: ", `at least ${wanted} kinds of pixels`, cells.length);
   return {
     serial: typeof file["serial"] === "string" ? file["serial"] : "",
     cols,

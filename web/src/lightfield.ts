@@ -15,7 +15,7 @@ export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "v
   if (dropped.kind === "quilt") {
     const picture = await pixelsOf(dropped.file);
     const { cols, rows } = dropped;
-    if (picture.width < cols || picture.height < rows) throw new Problem(`${dropped.file.name} has ${picture.width} × ${picture.height} pixels for ${cols} × ${rows} views.`, "Check the numbers in the file's name.", false);
+    if (picture.width < cols || picture.height < rows) throw new Problem(`${dropped.file.name} has ${picture.width} × ${picture.height} pixels for ${cols} × ${rows} views; expected at least one pixel per view.`, "Check the numbers in the file's name.", false);
     const width = Math.floor(picture.width / cols);
     const height = Math.floor(picture.height / rows);
     await checked(engine.call("openQuilt", [picture, cols, rows], [picture.data.buffer]));

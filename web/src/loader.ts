@@ -33,7 +33,7 @@ export interface LoaderEvents {
 export class Loader {
   private loading: AbortController | undefined;
   private decoding: AbortController | undefined;
-  /** Promises that are resolved when the first picture is shown, and when the last file has arrived. */
+  /** `firstPicture` resolves when the first picture is shown, `everything` when the last file has arrived. */
   firstPicture = deferred();
   everything = deferred();
 

@@ -1,5 +1,5 @@
-// Draws the picture repeatedly while it moves, and once after each change. If the element is out of
-// sight, it draws no picture.
+// Draws the picture repeatedly while it moves, and once after each change. While the element is out
+// of sight, no picture is drawn.
 import type { Motion } from "./motion.js";
 
 export interface Loop {

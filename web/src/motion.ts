@@ -32,7 +32,7 @@ export class Motion {
   swing = true;
   /** True if the user prefers less motion: the eye then jumps to its goal without the spring. */
   calm = false;
-  /** True until the user has moved the view. */
+  /** True until the first input of the user. */
   fresh = true;
   /** Seconds since the start of a recorded turn around the viewing zone; undefined without a turn. */
   private turnS: number | undefined;

@@ -112,8 +112,8 @@ export class Painter {
   }
 
   /**
-   * Returns true if WebGL2 drew the picture since `start` faster than the processor does. Some
-   * browsers run WebGL2 in software and do not report it.
+   * Returns true if the time of WebGL2 for the picture, from `start` on, is below a limit or below
+   * the processor's time. Some browsers run WebGL2 in software and do not report this.
    */
   private isFast(start: number, x: number, y: number): boolean {
     this.gl!.context.readPixels(0, 0, 1, 1, WebGL2RenderingContext.RGBA, WebGL2RenderingContext.UNSIGNED_BYTE, new Uint8Array(4));

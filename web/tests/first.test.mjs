@@ -1,5 +1,5 @@
 // The first seconds of a page. The page shows a poster immediately, then small views in which the
-// user can look around. There is a hint, and the view swings. Then the picture appears.
+// user can look around, with a hint. Then the picture appears, and the view swings.
 import assert from "node:assert/strict";
 import { cpSync, existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";

@@ -269,7 +269,7 @@ test("a wrong calibration is refused by file, place, expected and found", async 
     [JSON.stringify({ ...STRIPES, pitch: undefined }), "visual.json: pitch: expected a number above 0, found nothing."],
     [JSON.stringify({ ...STRIPES, slope: value(0) }), "visual.json: slope: expected a number other than 0, found 0."],
     [JSON.stringify({ ...STRIPES, screenW: value(1e9) }), "visual.json: screenW: expected 1 to 16384 pixels, found 1000000000."],
-    [JSON.stringify({ ...CELLS, subpixelCells: [CELLS.subpixelCells[0]] }), "visual.json: subpixelCells: expected 2 kinds of pixels, found 1."],
+    [JSON.stringify({ ...CELLS, subpixelCells: [CELLS.subpixelCells[0]] }), "visual.json: subpixelCells: expected at least 2 kinds of pixels, found 1."],
     [JSON.stringify({ ...CELLS, subpixelCells: [{}, {}] }), "visual.json: subpixelCells[0].ROffsetX: expected a number, found nothing."],
   ]) {
     await choose(page, "visual.json", content);
@@ -360,7 +360,7 @@ test("a Bridge that is absent, has no panel or refuses is reported in words", as
   for (const [change, message] of [
     [() => undefined, /^Looking Glass Bridge does not answer on this computer: .*\. Start Looking Glass Bridge/],
     [(what, answer) => (what === "available_output_devices" ? { ...answer, payload: map({ 0: device(0, {}) }) } : answer), /^Looking Glass Bridge runs, but has no panel\./],
-    [(what, answer) => (what === "insert_playlist_entry" ? { ...answer, status: word("status", "Failure") } : answer), /^Looking Glass Bridge answers to insert_playlist_entry without “Completion”, found “Failure”\./],
+    [(what, answer) => (what === "insert_playlist_entry" ? { ...answer, status: word("status", "Failure") } : answer), /^Looking Glass Bridge answers to insert_playlist_entry without “Completion” or “Pending”, found “Failure”\./],
   ]) {
     await bridge(page, change);
     await page.fill("#stored", "/home/me/Downloads/");

@@ -2,7 +2,8 @@
 //! same name.
 //!
 //! Floats are linear light, unless the JSON has `"linear": false`. Integers are decoded as sRGB
-//! code values, with a warning, unless the JSON has `"linear": true`.
+//! code values, unless the JSON has `"linear": true`. Without the key `linear`, a warning reports
+//! this.
 
 use std::path::{Path, PathBuf};
 

@@ -22,12 +22,13 @@ use crate::source::Source;
 
 /// Largest accepted value: the largest half float.
 pub(crate) const LARGEST: f32 = 65504.0;
-/// Negative values down to this one are regarded as overshoot of a filter and become 0.
+/// Negative values become 0. Values below this cause a warning; smaller overshoots of a filter do
+/// not.
 const OVERSHOOT: f32 = -1e-3;
 /// Pixels are regarded as square if their width and height differ by less than this fraction.
 const SQUARE: f64 = 0.01;
-/// The focus is moved only if all content moves in one direction by at least this many pixels per
-/// view.
+/// The focus is moved only if the 10th and the 90th percentile of the disparity have one sign, and
+/// the smaller of the two is at least this large, in pixels per view.
 const STILL_PX: f64 = 0.5;
 
 /// A view of the source that is not kept, and lies between two kept ones.
@@ -238,7 +239,7 @@ fn picks(source: &Source, flags: &GeometryFlags) -> Result<[Vec<usize>; 2], Fiel
     let [rows, cols] = source.views;
     let [kept_cols, kept_rows] = flags.views.unwrap_or([cols, rows]);
     if !(1..=cols).contains(&kept_cols) || !(1..=rows).contains(&kept_rows) {
-        let expected = format!("1 × 1 to {cols} × {rows} views, as many as the light field has");
+        let expected = format!("1 × 1 to {cols} × {rows} views, which the light field has");
         return Err(FieldError::malformed(&source.path, "--views", expected, format!("{kept_cols} × {kept_rows}")));
     }
     Ok([pick(rows, kept_rows), pick(cols, kept_cols)])
@@ -326,8 +327,8 @@ fn positions(source: &Source) -> [Vec<f64>; 2] {
 }
 
 /// Returns the disparity of the plane that becomes z = 0, for pictures whose plane of zero
-/// disparity is unknown. If all content moves in one direction, the result is the median disparity,
-/// rounded to whole pixels; otherwise it is 0.
+/// disparity is unknown. If nearly all content moves in one direction (see [`STILL_PX`]), the
+/// result is the median disparity, rounded to whole pixels; otherwise it is 0.
 fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     if !source.hints.cameras.as_ref().is_some_and(|cameras| cameras.plane_unknown) {
         return Ok(0.0);
@@ -338,7 +339,7 @@ fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     }
     let focus_px = median.round();
     let mut message = format!(
-        "no content is at zero disparity: content moves by {low:.1} to {high:.1} pixels per view, so a disparity of {focus_px} is moved to z = 0 (--focus-px sets it)"
+        "no content is at zero disparity: content moves by {low:.1} to {high:.1} pixels per view, so content with a disparity of {focus_px} pixels is moved to z = 0 (--focus-px sets this disparity)"
     );
     if median < 0.0 {
         message += "; content moves with the camera, so if the scene looks inside out, the views are in reverse order (--mirror)";
@@ -368,7 +369,7 @@ fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError>
     Ok(motion.map(|m| Motion { low: -m.high / step, median: -m.median / step, high: -m.low / step }))
 }
 
-/// Number of negative values, and the lowest of them, for a single warning.
+/// Number of values below [`OVERSHOOT`], and the lowest value, for a single warning.
 #[derive(Default)]
 struct Range {
     negative: usize,
@@ -387,7 +388,8 @@ impl Range {
     }
 }
 
-/// Refuses values that are not radiance, and sets small negative values to 0.
+/// Refuses values that are not finite or too large, and sets negative values to 0. `range` counts
+/// the values for the warning.
 fn check_values(
     source: &Source,
     [view_y, view_x]: [usize; 2],

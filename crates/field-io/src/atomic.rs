@@ -49,8 +49,8 @@ pub fn create_folder(path: &Path) -> Result<(), FieldError> {
     fs::create_dir_all(path).map_err(FieldError::io(path, "make the folder"))
 }
 
-/// Removes a file that may be absent. Before files are changed, the index that lists them is
-/// removed, so that an index never lists half-written files.
+/// Removes a file that may be absent. Before a caller changes files, it removes the index that
+/// lists them, so that an index never lists half-written files.
 ///
 /// # Errors
 /// If the file exists and cannot be removed.
@@ -67,13 +67,13 @@ pub(crate) fn remove(path: &Path) -> Result<(), FieldError> {
 /// Gives a file the name of a temporary file, and removes it as soon as the system permits.
 ///
 /// While a program has mapped a file into memory (see [`mapped`](crate::mapped)), Windows may
-/// refuse to replace it, and keeps the name of a file that was removed. But it renames such a file.
-/// The program keeps the values that it has mapped. A later run removes the file, which has no
-/// writer (see [`is_abandoned`]).
+/// refuse to replace the file. If such a file is removed, Windows keeps its name in use. But
+/// Windows can rename the file, and the program keeps the values that it has mapped. A later run
+/// removes the renamed file, which has no writer (see [`is_abandoned`]).
 ///
 /// # Errors
-/// If the file is protected from writing, or the system refuses. Always on other systems, which
-/// have no such restriction.
+/// If the file is protected from writing, or the system refuses. On systems other than Windows
+/// always, since they have no such restriction.
 fn set_aside(path: &Path) -> io::Result<()> {
     if !cfg!(windows) || fs::metadata(path)?.permissions().readonly() {
         return Err(io::ErrorKind::PermissionDenied.into());
@@ -124,7 +124,8 @@ pub(crate) fn publish(beside: tempfile::NamedTempFile, path: &Path) -> io::Resul
 /// Age below which a temporary file may have a writer that has not locked it yet.
 const YOUNG: Duration = Duration::from_secs(2);
 
-/// Returns true for a temporary file of [`fn@write`] whose writer was killed or stopped.
+/// Returns true for a temporary file without a writer: the writer was killed or stopped, or the
+/// file was set aside.
 pub fn is_abandoned(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {

@@ -104,7 +104,10 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     cameras.iter().for_each(|(name, _)| *groups.entry(&name.prefix).or_default() += 1);
     let prefix = groups.iter().max_by_key(|(_, count)| **count).map_or(&first.prefix[..], |(prefix, _)| prefix);
     if groups.len() > 1 {
-        task.warn(place(folder), format!("only pictures whose names start with `{prefix}` are read"));
+        task.warn(
+            place(folder),
+            format!("names differ before row and column; only pictures with the prefix `{prefix}` are read"),
+        );
     }
     let prefix = prefix.to_string();
     cameras.retain(|(name, _)| name.prefix == prefix);
@@ -200,8 +203,8 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     })
 }
 
-/// Mean camera centre of each column (X, right) and of each row (Y, down). The order is that of the
-/// row and column numbers in the names.
+/// Mean camera centre of each column (X, right) and of each row (Y, down). Both lists have the
+/// order of the numbers in the names.
 struct Centres {
     x: Vec<f64>,
     y: Vec<f64>,

@@ -10,11 +10,11 @@ use lumistack_core::colour;
 /// columns or rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Motion {
-    /// 10th percentile of the shifts of all blocks, pixels.
+    /// 10th percentile of the shifts of all blocks with a distinct minimum, pixels.
     pub(crate) low: f64,
-    /// 50th percentile of the shifts of all blocks, pixels.
+    /// Median of these shifts, pixels.
     pub(crate) median: f64,
-    /// 90th percentile of the shifts of all blocks, pixels.
+    /// 90th percentile of these shifts, pixels.
     pub(crate) high: f64,
 }
 

@@ -1,5 +1,5 @@
-//! Errors of files. Every message contains the file, the position in it, the expected value and the
-//! found value.
+//! Errors of files. Every message names the file or folder. The message of malformed content also
+//! states the position in the file, the expected value and the found value.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -49,7 +49,7 @@ pub enum FieldError {
         /// [columns, rows] of the second view.
         second_size: [usize; 2],
     },
-    /// Neither files nor flags define the views' geometry.
+    /// Neither flags, files nor defaults define a value of the geometry.
     #[error("{}: {what} is not known: give {flag}", path.display())]
     MissingGeometry {
         /// Path of the light field.

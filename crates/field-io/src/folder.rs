@@ -1,5 +1,5 @@
-//! Our light-field folder: `lightfield.json` with the geometry of every view, and a half-float
-//! OpenEXR picture per view.
+//! Our light-field folder: `lightfield.json` with the geometry of every view, and an OpenEXR
+//! picture per view, usually of half floats.
 //!
 //! ```json
 //! { "schema": "lumistack/lightfield", "version": 1, "linear": true,
@@ -150,9 +150,9 @@ fn write_view_as(
 /// field.
 ///
 /// A selection of whole rows and columns is a complete light field. Its index has the slopes of
-/// these rows and columns only. `info.part_of` lists these rows and columns, and the numbers of all
-/// rows and all columns. For another selection, the index has the slopes of all views and
-/// `"partial": true`, and readers refuse the folder.
+/// these rows and columns only. `info.part_of` lists these rows and columns, and has the number of
+/// view rows and of view columns of the whole field. For another selection, the index has the
+/// slopes of all views and `"partial": true`, and readers refuse the folder.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.
@@ -261,7 +261,7 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
 }
 
 /// Reads a region, some rows and columns of pixels, of all views of a light field's folder.
-/// `geometry` is the geometry of the result. One view is in memory at a time.
+/// `geometry` is the geometry of the result. Besides the result, only one view is in memory.
 ///
 /// # Errors
 /// The errors of [`read_field_folder`]. Also if the folder has other views than the geometry, or

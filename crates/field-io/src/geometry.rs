@@ -60,7 +60,7 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
 }
 
 /// Values that are used if neither flags nor files define them. If a value is `None` here too,
-/// opening fails.
+/// opening fails. But no angle is needed for a single view, or if the cameras' slopes are known.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
     /// Width of the light field on the display plane z = 0, millimetres.
@@ -87,7 +87,7 @@ pub(crate) struct Hints {
 #[derive(Clone, Debug)]
 pub(crate) struct Cameras {
     /// Positions of view columns (x, right) and view rows (y, up), in steps. A step is the mean
-    /// distance between neighbours along x.
+    /// distance between neighbours along x, or along y if there is only one column.
     pub(crate) positions: [Vec<f64>; 2],
     /// Focal length, in pixels of the files.
     pub(crate) focal_px: Option<f64>,
@@ -175,8 +175,9 @@ pub(crate) fn resolve(
     let pitch_mm = pitch(path, flags, defaults, hints, pixels, task)?;
     let own_slopes = physical_slopes(hints, picks, pixels);
     let (slopes, physical) = slopes(path, flags, defaults, hints, picks, own_slopes, task)?;
-    // Select the projection: by the flag, then by the file. If neither defines a projection, the
-    // projection is perspective if cameras or a viewing distance are known, and oblique otherwise.
+    // Select the projection: by the flag, then by the file. If neither defines a projection, it is
+    // perspective if a flag states the viewing distance or the slopes come from the cameras.
+    // Otherwise it is oblique.
     let kind = flags.grid.or(hints.projection).unwrap_or(match flags.distance_mm {
         None if !physical => ProjectionKind::Oblique,
         _ => ProjectionKind::Perspective,

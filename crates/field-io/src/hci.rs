@@ -89,7 +89,7 @@ impl Parameters {
         let Some(text) = self.values.get(key) else { return Ok(None) };
         match text.parse::<f64>() {
             Ok(value) if value.is_finite() && value > 0.0 => Ok(Some(value)),
-            _ => Err(FieldError::malformed(&self.path, key, "a number above 0", text)),
+            _ => Err(FieldError::malformed(&self.path, key, "a finite number above 0", text)),
         }
     }
 
@@ -97,7 +97,7 @@ impl Parameters {
         let Some(text) = self.values.get(key) else { return Ok(None) };
         match text.parse::<usize>() {
             Ok(value) if (1..=10_000).contains(&value) => Ok(Some(value)),
-            _ => Err(FieldError::malformed(&self.path, key, "a whole number above 0", text)),
+            _ => Err(FieldError::malformed(&self.path, key, "a whole number from 1 to 10000", text)),
         }
     }
 }
@@ -122,7 +122,12 @@ fn grid_size(folder: &Path, parameters: &Parameters, count: usize, task: Task<'_
     let side = count.isqrt();
     if side * side != count {
         let expected = format!("num_cams_x and num_cams_y in {PARAMETERS}");
-        return Err(FieldError::malformed(folder, "views", expected, format!("{count} pictures")));
+        return Err(FieldError::malformed(
+            folder,
+            "views",
+            expected,
+            format!("{count} pictures without these numbers"),
+        ));
     }
     task.warn(place(folder), format!("no {PARAMETERS} with the arrangement of the cameras; {side} × {side} is used"));
     Ok([side, side])

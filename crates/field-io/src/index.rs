@@ -26,7 +26,7 @@ pub(crate) fn parse_json<'a, T: Deserialize<'a>>(path: &Path, text: &'a [u8]) ->
         let text = text.split(" at line ").next().unwrap_or_default();
         match text.strip_prefix("expected ").and_then(|rest| rest.split_once(", found ")) {
             Some((expected, found)) => FieldError::malformed(path, place, expected, found),
-            None => FieldError::malformed(path, place, "JSON of this kind", text),
+            None => FieldError::malformed(path, place, "complete JSON with valid keys", text),
         }
     })
 }

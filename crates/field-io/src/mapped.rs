@@ -31,7 +31,8 @@ impl AsRef<[f32]> for Mapped {
 
 /// Maps `count` little-endian `float32` values of a file, from byte `first` on.
 ///
-/// `None` if this machine cannot use the bytes in place, or the file is too short.
+/// `None` if this machine cannot use the bytes in place, the file cannot be mapped, or the file is
+/// too short.
 #[cfg(target_pointer_width = "64")]
 pub(crate) fn lend(file: &File, first: u64, count: usize) -> Option<Lender> {
     if !(cfg!(target_endian = "little") && first.is_multiple_of(4)) {

@@ -110,8 +110,8 @@ impl NpyFile {
                 "True",
             ));
         }
-        // In the page `usize` has 32 bits, so the header's numbers may fit only into 64 bits, which
-        // [`DIGIT_LIMIT`] ensures.
+        // In WebAssembly `usize` has 32 bits, so compute with 64 bits, which suffice by
+        // [`DIGIT_LIMIT`].
         let expected = header.shape().iter().product::<u64>() * scalar.bytes() as u64;
         if file_length - data_start.min(file_length) < expected {
             return Err(FieldError::malformed(
@@ -125,7 +125,7 @@ impl NpyFile {
         Ok(Self { path: path.to_path_buf(), shape, scalar, big_endian, data_start, file })
     }
 
-    /// Axis lengths, outermost first.
+    /// Returns the lengths of the axes, outermost first.
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
@@ -233,7 +233,7 @@ fn read_header(path: &Path, file: &mut impl Read) -> Result<(NpyHeader, u64), Fi
     let mut bytes = vec![0; 10];
     file.read_exact(&mut bytes).map_err(short)?;
     if !bytes.starts_with(b"\x93NUMPY") {
-        return Err(bad("a NumPy array (.npy)", "something else".into()));
+        return Err(bad("a NumPy array (.npy)", "another format".into()));
     }
     let mut length = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
     if bytes[6] > 1 {

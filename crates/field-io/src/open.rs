@@ -14,9 +14,9 @@ use crate::picture::{Picture, has_picture_extension};
 /// Reads a light field of any kind.
 ///
 /// The path is a folder with `lightfield.json`, the folder of a run, or a `.npy` file with or
-/// without a `.json` of the same name. It may also be a quilt, a picture of tiles, or a folder of
-/// pictures. Such pictures are named as in the Stanford archive, as in the HCI benchmark, or
-/// `RR_CC.png`.
+/// without a `.json` of the same name. It may also be a quilt, a picture of tiles, a folder with
+/// one of these files, or a folder with a picture per view. The pictures of views are named as in
+/// the Stanford archive, as in the HCI benchmark, or `RR_CC.png`.
 ///
 /// # Errors
 /// If the path is of another kind, a file is damaged, views differ in size, values are not finite,
@@ -66,7 +66,7 @@ pub fn geometry_of(
 }
 
 /// Returns an upper bound of the memory, in bytes, that a light field's decoded picture takes while
-/// the views are read. The result is 0 unless all views are in one picture.
+/// the views are read. The result is 0 unless the path is a picture, which then contains all views.
 pub fn picture_bytes(path: &Path) -> u64 {
     // a decoded picture takes at most 16 bytes per pixel (four floats), and decoding takes 8 more
     const BYTES: u64 = 24;

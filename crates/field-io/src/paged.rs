@@ -17,7 +17,7 @@ use memmap2::{Mmap, MmapMut};
 
 use crate::FieldError;
 
-/// Number of values that are converted to bytes at a time.
+/// Number of values that are converted to bytes together.
 const PART: usize = 1 << 14;
 
 /// A light field that is written view by view, into memory or into a file.

@@ -11,7 +11,7 @@
 //! have no effect, since radiance between the views is unknown. L is the given light field and L'
 //! the result. x is a pixel, and s_i and s_j are the slopes of views i and j. With more views the
 //! result approaches the result of the path tracer's `angular_filter = "display"`. For δs = nΔs, a
-//! plane at z with a grating of frequency ω keeps this factor of its contrast:
+//! plane at z with a grating of frequency ω keeps this fraction of its contrast:
 //!
 //! ```text
 //! sin(πω|z|nΔs)/(n sin(πω|z|Δs)) → sinc(ω z δs)

@@ -78,7 +78,7 @@ pub(crate) fn source(path: &Path, flags: &GeometryFlags) -> Result<Source, Field
         None => named.ok_or_else(|| FieldError::MissingGeometry {
             path: path.into(),
             what: "the arrangement of views in this picture",
-            flag: "--quilt COLUMNSxROWS (view 0 at the bottom left) or --tiles COLUMNSxROWS (view 0 at the top left), or name it NAME_qs8x6a0.75.png",
+            flag: "--quilt COLUMNSxROWS (view 0 at the bottom left) or --tiles COLUMNSxROWS (view 0 at the top left), or name the picture NAME_qs8x6a0.75.png",
         })?,
     };
     let Layout { columns, rows, aspect } = layout;
@@ -91,7 +91,7 @@ pub(crate) fn source(path: &Path, flags: &GeometryFlags) -> Result<Source, Field
 fn tile_size(path: &Path, flag: &str, size: [usize; 2], counts: [usize; 2]) -> Result<[usize; 2], FieldError> {
     let fits = |axis: usize| (1..=TILE_LIMIT.min(size[axis])).contains(&counts[axis]);
     if !fits(0) || !fits(1) {
-        let expected = format!("1 × 1 to {} × {} tiles, at most one per pixel", size[0], size[1]);
+        let expected = format!("1 × 1 to {} × {} tiles, at most one per pixel and 1000 per axis", size[0], size[1]);
         return Err(FieldError::malformed(path, flag, expected, format!("{} × {}", counts[0], counts[1])));
     }
     Ok([size[0] / counts[0], size[1] / counts[1]])
@@ -125,7 +125,7 @@ impl Views for TileViews {
         let corner = self.corners[view[0] * self.cols + view[1]];
         let size = picture.size();
         if corner[0] + self.tile[0] > size[0] || corner[1] + self.tile[1] > size[1] {
-            let expected = "the size that its header has";
+            let expected = "the size in the picture's header";
             return Err(FieldError::malformed(&self.path, "size", expected, format!("{} × {}", size[0], size[1])));
         }
         Ok(picture.linear_part(corner, self.tile))

@@ -1,8 +1,8 @@
 //! Area averaging in linear light: an output pixel is the mean of the source over the rectangle
 //! that the output pixel covers.
 //!
-//! [`area`] shifts, crops and reduces a picture in one step. If a rectangle starts between two
-//! pixels, each output value mixes two neighbouring pixels, which shifts the picture.
+//! [`area`] shifts, crops and reduces a picture in one step. If a rectangle starts within a pixel,
+//! each output value mixes neighbouring pixels, which shifts the picture by a fraction of a pixel.
 
 /// A rectangle of a source picture in pixels; (0, 0) is the outer corner of the first pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -28,7 +28,7 @@ pub struct Curve {
     pub name: String,
     /// Points of the line. A point that is not finite interrupts the line.
     pub points: Vec<[f64; 2]>,
-    /// Index of the colour in [`COLOURS`]; larger indices are black.
+    /// Index of the colour in [`COLOURS`]; an index past the end stands for black.
     pub colour: usize,
     /// If true, the line is dashed.
     pub dashed: bool,

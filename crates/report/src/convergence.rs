@@ -2,7 +2,7 @@
 
 use crate::Iteration;
 
-/// The last iteration that was complete at a number of seconds.
+/// The last iteration that was complete at a certain time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Reached {
     /// Time in seconds: 1, 2 or 5 times a power of ten. The last entry has the time at which the
@@ -12,7 +12,8 @@ pub(crate) struct Reached {
     pub(crate) psnr_view: f64,
 }
 
-/// Largest number of lines in the table of PSNR over time. If there are more, the latest are kept.
+/// Largest number of entries in the table of PSNR over time. If there are more entries, the latest
+/// are kept.
 const LINES: usize = 12;
 
 /// Returns the PSNR at round numbers of seconds, and at the end of the solver.

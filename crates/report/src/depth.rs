@@ -11,7 +11,8 @@ use crate::format::{self, figure};
 const BARS: usize = 60;
 /// Number of depths at which the bound on the spatial frequency is sampled.
 const CURVE_POINTS: usize = 241;
-/// Fraction of the depths that histograms omit at either end.
+/// Fraction of the depths at either end, and of the disparities at the upper end, that histograms
+/// omit.
 const STRAY: f64 = 0.005;
 /// The report gives advice if a smaller fraction of hits than this is in the depth of field. Then
 /// the display does not suit the scene, or the window is misplaced.
@@ -33,7 +34,8 @@ pub struct DepthBudget {
     pub disparity_px: [f64; 3],
     /// Fraction of hits with a disparity above one pixel.
     pub beyond_a_pixel: f64,
-    /// Distance by which the window was moved back to fit the scene, millimetres.
+    /// Distance by which the window was moved back to fit the scene, millimetres; negative if it
+    /// was moved forward.
     pub moved_back_mm: f64,
     /// Factor on parallax; 1 if the scene is shown unchanged.
     pub depth_scale: f64,
@@ -122,7 +124,7 @@ impl DepthBudget {
         }
         let [_, most, largest] = self.disparity_px.map(format::number_short);
         let lies = match self.depth_of_field_mm {
-            None => "the display shows the finest detail of its pixels at no depth".into(),
+            None => "the display shows the finest detail of the light field's pixels at no depth".into(),
             Some([low, high]) => {
                 let [low, high] = [low, high].map(|z| format::number(z.round()));
                 format!(

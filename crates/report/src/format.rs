@@ -83,14 +83,15 @@ pub(crate) fn angle(slope: f64) -> String {
     if degrees.abs() < 0.05 { "0.0°".into() } else { minus(format!("{degrees:+.1}°")) }
 }
 
-/// Formats a number without unnecessary digits.
+/// Formats a number with at most four decimals, without trailing zeros.
 pub(crate) fn number(value: f64) -> String {
     let text = format!("{value:.4}");
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     minus(if text == "-0" { "0".into() } else { text.into() })
 }
 
-/// Formats a fraction as a percentage. Only a fraction of exactly 1 gives 100 %.
+/// Formats a fraction as a percentage. A fraction below 1 gives at most 99.9 %, any other value
+/// 100 %.
 pub(crate) fn percent(share: f64) -> String {
     if share < 1.0 { format!("{:.1} %", (share * 100.0).min(99.9)) } else { "100 %".into() }
 }

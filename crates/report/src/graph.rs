@@ -26,7 +26,7 @@ pub struct GraphNode {
     pub plugin: String,
     /// Name of the node's display.
     pub display: String,
-    /// Path of the report of the node.
+    /// Path of the node's report, relative to this report.
     pub report: String,
     /// PSNR of L̃/β against L, dB.
     pub psnr_view: f64,

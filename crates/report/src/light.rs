@@ -66,16 +66,16 @@ impl Light {
             format::number(self.wanted),
             format::number(input.stack.brightness),
         );
-        // State the fraction of light that open layers transmit. Then state β if the display cannot
-        // reach it.
+        // State the fraction of light that open layers transmit. Then report if the display cannot
+        // reach a white of brightness β.
         let peaks: Vec<f64> = display.layers.iter().map(|layer| layer.peak).collect();
         if display.formation == Formation::Attenuating && self.open.is_finite() {
             text += &if self.open > 1.0 - 1e-6 {
-                " Fully open layers would transmit all of it.".into()
+                " Fully open layers would transmit all light of the backlight.".into()
             } else {
                 let listed = peaks.iter().map(|peak| format::number(*peak)).collect::<Vec<_>>().join(" · ");
                 format!(
-                    " Fully open layers transmit {} (peak transmittances {listed}); the other {} is always lost.",
+                    " Fully open layers transmit {} of the backlight's light (peak transmittances {listed}); the other {} is always lost.",
                     format::percent(self.open),
                     format::percent(1.0 - self.open)
                 )

@@ -1,9 +1,11 @@
 //! Limits of the result. They are measured on the solved stack, without another solve. Some are
-//! measured by variants of the forward model, others by fractions of the squared error.
+//! measured by variants of the forward model, some by fractions of the squared error, and one by
+//! the solver's history.
 //!
-//! Each value in dB is the gain of psnr_view if one effect were absent and everything else
-//! unchanged. Effects overlap, so the gains do not add up. Variants are simulated for the central
-//! view and the corner views.
+//! A value in dB is the gain of psnr_view if one effect were absent and everything else unchanged.
+//! Two values are extrapolated instead: for 10 % more light, and for twice as many iterations. The
+//! limit by the number of frames has no such value. Effects overlap, so the gains do not add up.
+//! Variants are simulated for the central view and the corner views.
 
 mod depth;
 mod hardware;
@@ -24,7 +26,7 @@ pub(crate) fn count(input: &ReportInput) -> usize {
     outstanding_views(&input.target.geometry().grid).len() * variants(input).len()
 }
 
-/// Returns the limits of a result, the largest first.
+/// Returns the limits of a result: the largest first, and the limit by the number of frames last.
 pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Result<Vec<Limit>, ReportError> {
     let mut errors = Vec::new();
     let mut tone = Tone::default();
@@ -41,7 +43,7 @@ pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Resu
         return Ok(Vec::new());
     }
     if base.sum == 0.0 {
-        // An exact result is limited by nothing but its number of frames.
+        // If the result is exact, only the number of frames can limit it.
         return Ok(vec![solver::frames(input, target, None)]);
     }
     let error = |variant| errors.iter().find(|(other, _)| *other == variant).map(|(_, error)| *error);

@@ -1,4 +1,4 @@
-//! Simulates every view once. Computes the scores of the views, and the pictures of the page.
+//! Simulates every view. Computes the scores of the views, and the pictures of the page.
 
 mod names;
 mod score;
@@ -41,7 +41,7 @@ pub(crate) struct Measured {
     pub(crate) has_dropped_rays: bool,
 }
 
-/// SSIM and FLIP over the directions of the zone that have reference pictures.
+/// SSIM and FLIP over the directions of [`ZoneFigures::views`].
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ZoneLooks {
     pub(crate) ssim: Mean,
@@ -50,7 +50,7 @@ pub(crate) struct ZoneLooks {
 
 /// Maximum number of pixels in the four pictures of the large comparison.
 const HEADLINE_BUDGET: usize = 2_000_000;
-/// Maximum number of pixels in all other comparisons.
+/// Maximum number of pixels in all pictures of [`Measured::rows`].
 const ROWS_BUDGET: usize = 4_000_000;
 
 pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, ReportError> {
@@ -59,7 +59,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let mut sheets = SheetPair::new(input.target.geometry());
     let keep = outstanding_views(grid);
     let geometry = input.target.geometry();
-    // The explorer of views shows seen pictures instead of the emission along rays.
+    // The section "Look around" shows seen pictures instead of the emission along rays.
     let mut place = |view, _: &EmittedView| sheets.place(view, input, &judge.simulator.seen(geometry, view));
     let (target, mut shown) = field(&judge, input.target, input.weights, &keep, task, &mut place)?;
     if let Some(worst) = target.worst_view().filter(|worst| !keep.contains(worst)) {
@@ -72,8 +72,9 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     }
     let targets = shown.len();
     let zone = input.zone.map(|zone| zone_looks(&judge, zone, &mut shown));
-    // The large comparison shows the median direction of the zone, if there is one. Its reference
-    // has more samples than a view of the target. `zone_looks` adds this direction last.
+    // The large comparison shows the median direction of the zone, if there is one. If the
+    // reference is a render, it has more samples than a view of the target. `zone_looks` adds this
+    // direction last.
     let median_of_zone = (shown.len() > targets).then(|| shown.len() - 1);
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {
@@ -89,8 +90,9 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let held_out = others(input.held_out, between)?;
     let outside = others(input.outside, grid.outside(1))?;
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
-    // Held-out views are often far worse than target views. So the pictures of their errors have an
-    // amplification of their own. A common amplification would hide the errors of target views.
+    // Directions of the zone and held-out views are often far worse than target views. With a
+    // common amplification, the errors of target views would be invisible. So target views have an
+    // amplification of their own.
     let (amplification, other_amplification) = (errors(&shown[..targets]), errors(&shown[targets..]));
     let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =
@@ -117,8 +119,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     })
 }
 
-/// Returns the scores of the directions of the zone that have reference pictures. Adds the worst
-/// direction and then the median direction to `shown`.
+/// Returns SSIM and FLIP over the directions of [`ZoneFigures::views`]. Adds the worst and then the
+/// median of these directions to `shown`.
 fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> ZoneLooks {
     let mut views: Vec<_> = zone.views.par_iter().map(|view| (view, judge.zone_view(view))).collect();
     let looks = views.iter().fold(ZoneLooks::default(), |sum, (_, figures)| ZoneLooks {

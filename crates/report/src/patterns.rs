@@ -32,8 +32,8 @@ pub(crate) struct Sheet {
     /// Standard deviation over the frames times [`CHANGE`], if there are several frames.
     pub(crate) change: Option<Embedded>,
     pub(crate) frames: Vec<Embedded>,
-    /// A section with fine changes between frames, at full resolution. `None` if the whole layer is
-    /// shown at full resolution.
+    /// A section with fine changes between frames, at full resolution. `None` if no layer is larger
+    /// than a section. A backlight has a section only if its panel is larger than a section.
     pub(crate) closeup: Option<CloseUp>,
 }
 
@@ -192,7 +192,7 @@ fn encode_emission(
 ) -> Result<Emission, ReportError> {
     let [frames, bins_y, bins_x, rows, cols, _] = emission.shape();
     let bin = [bins_y / 2, bins_x / 2];
-    // The picture of a single bin would equal the picture of the panel, so it is omitted.
+    // If there is only one bin, its picture would equal the picture of the panel, so it is omitted.
     let central = (0..frames).filter(|_| bins_y * bins_x > 1).map(|frame| {
         Ok(Linear::new(rows, cols, emission.block([frame, bin[0], bin[1]]), 1.0).encoded().embedded(Encoding::Png)?)
     });

@@ -25,10 +25,10 @@ use crate::format::figure;
 use crate::picture::{Embedded, Encoding, Linear};
 use crate::{ReportError, page};
 
-/// Longer side of a thumbnail, pixels.
+/// Largest length of a thumbnail's longer side, pixels.
 const THUMBNAIL: usize = 200;
 
-/// A small picture in linear light; the values it shows are in 0..1.
+/// A small picture in linear light. Values outside of 0..1 are clamped when it is encoded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Thumbnail(Linear);
 
@@ -53,14 +53,14 @@ impl Thumbnail {
 pub struct SequenceTime {
     /// Name of the time step's folder, such as "t0001".
     pub name: String,
-    /// Origin of the time step's light field.
+    /// Text that names the source of the time step's light field.
     pub source: String,
     /// Path of the time step's report relative to the sequence's report, if it has one.
     pub report: Option<String>,
     /// Error of L̃/β against L.
     pub error: SquaredError,
     /// Error of the change since the previous time step: the change of L̃/β against the change of
-    /// L.
+    /// L. `None` for the first time step.
     pub change: Option<SquaredError>,
     /// The error `change` over rays with a constant target, if there are such rays.
     pub still: Option<SquaredError>,

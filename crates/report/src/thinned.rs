@@ -7,8 +7,9 @@ use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
 /// Largest number of views per axis that the report measures and shows.
 const MOST: usize = 7;
 
-/// Returns evenly spread views of a light field, including the central and the outermost views,
-/// with their weights. `None` if the light field has few enough views.
+/// Returns evenly spread views of a light field, with their weights. The outermost views are among
+/// them and, for an odd number of views along an axis, also the central view. `None` if the light
+/// field has at most [`MOST`] views along each axis.
 pub(crate) fn thinned(field: &LightField, weights: &Weights) -> Option<(LightField, Weights)> {
     let geometry = field.geometry();
     let views = geometry.grid.views();

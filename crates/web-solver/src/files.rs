@@ -66,7 +66,7 @@ impl Files {
         }
         let rotation = found.axes.scene_from_file().to_array();
         let document = lumistack_splats::glb(&found.cloud, rotation, 1.0)
-            .ok_or_else(|| failed(format!("expected splats of less than 4 GiB, found {}", found.cloud.len())))?;
+            .ok_or_else(|| failed(format!("expected splats of less than 4 GiB, found {} splats", found.cloud.len())))?;
         Ok(lumistack_gltf::load_with(name, &document, &beside, &options, task)?)
     }
 }

@@ -1,15 +1,17 @@
 //! Computes patterns from a dropped file in small pieces of work. Between two pieces the page can
-//! respond to the user. The final patterns equal the patterns of the command.
+//! respond to the user.
 //!
 //! ```text
-//! Files ──scene──▶ Scene ──subject──▶ Subject ──views──▶ light field ──work──▶ patterns
+//! Files ──scene──▶ Scene ──light──▶ LitScene ──views──▶ light field ──work──▶ patterns
 //! ```
 //!
 //! Each call of [`Work::advance`] computes one piece, such as a view or an iteration of the solver.
-//! The first pieces compute noisy views of a few directions, and patterns for these views. Later
-//! pieces render all views with all their samples. Meanwhile, three times, they solve for the views
-//! that are already rendered. The last views and patterns equal the results of the command for the
-//! same job. Other threads may trace views: [`Work::give`] names a view, a copy of the `Work`
+//! The first pieces compute noisy views of a few directions, and patterns for these views. The next
+//! pieces do the same for all directions. Later pieces render all views with all their samples.
+//! Meanwhile, up to three times, they solve for the views that are already rendered. The last views
+//! and patterns are those of the command for the same job. Small differences remain, since the
+//! command rounds views when it caches them, and the module uses other instructions of the
+//! processor. Other threads may trace views: [`Work::give`] names a view, a copy of the `Work`
 //! traces it ([`Work::trace`]), and [`Work::take`] receives its values.
 //!
 //! [`patterns`] encodes patterns for the viewer, and as a zip for the command.

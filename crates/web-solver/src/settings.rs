@@ -38,7 +38,8 @@ pub fn presets() -> Result<Vec<Preset>, Error> {
     serde_json::from_str(include_str!("presets.json")).map_err(|error| Error(format!("presets: {error}")))
 }
 
-/// The settings of the page, read from JSON. A missing key keeps the preset's value.
+/// The settings of the page, read from JSON. If `layers`, `frames`, `brightness` or `gap_mm` is
+/// missing, the preset's value is used; any other missing key has the default below.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {

@@ -63,7 +63,7 @@ impl Solver {
         Ok(Self { work: Work::of_field(path, Settings::from_json(settings)?)? })
     }
 
-    /// Restarts with other settings; the scene stays in memory.
+    /// Restarts with other settings. A scene stays in memory; a light field is read again.
     pub fn change(&mut self, settings: &str) -> Thrown<()> {
         Ok(self.work.change(Settings::from_json(settings)?)?)
     }

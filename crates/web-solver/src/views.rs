@@ -29,7 +29,8 @@ pub(crate) struct Picked {
 /// Number of pixels of traced views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Detail {
-    /// Half of the rows and columns, for the first picture. It takes a quarter of the time.
+    /// Half of the rows and columns, for the first picture. One path per pixel then takes a quarter
+    /// of the time.
     Coarse,
     /// All pixels of the display's light field.
     Full,
@@ -47,7 +48,7 @@ pub(crate) struct Views {
     denoise: Denoise,
     light: LightJob,
     splats: Vec<Option<Tensor<3>>>,
-    /// True for views that another thread was asked to trace.
+    /// True for views that were given to another thread to trace.
     given: Vec<bool>,
     /// Depths of all views, once they are traced.
     depths: Option<Depths>,
@@ -238,12 +239,13 @@ impl Views {
         y * self.geometry.grid.views()[1] + x
     }
 
-    /// Makes a light field of the picked views, as the command does. It averages the light that all
-    /// views share, adds splats, applies exposure and tone curve, and rounds. At the end, coarse
-    /// views are interpolated to all pixels.
+    /// Makes a light field of the picked views. The steps are those of the command: average the
+    /// light that all views share, add splats, apply exposure and tone curve, and round. At the
+    /// end, coarse views are interpolated to all pixels.
     ///
     /// # Errors
-    /// If depths, which the average needs, cannot be traced.
+    /// If the depths, from which the exposure is chosen, cannot be traced, or the light cannot be
+    /// averaged.
     pub(crate) fn field(&mut self, picked: &Picked, detail: Detail, task: Task<'_>) -> Result<LightField, Error> {
         let of_display = picked.of(&self.geometry);
         let traced = picked.of(&self.traced(detail).geometry);
@@ -320,7 +322,7 @@ impl Traced {
 }
 
 /// Interpolates the pixels of a light field bilinearly at the centres of the finer pixels of
-/// `geometry`. Both have the same centre and the same views.
+/// `geometry`. The two geometries have the same centre and the same views.
 fn finer(coarse: &LightField, geometry: FieldGeometry) -> Result<LightField, Error> {
     let from = coarse.geometry();
     let taps = |count: usize, of: usize| -> Vec<(usize, usize, f32)> {

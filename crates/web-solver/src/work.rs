@@ -43,7 +43,7 @@ const HAS_DEVICES: bool = cfg!(any(feature = "gpu", not(target_arch = "wasm32"))
 pub enum Stage {
     /// Reads the files, lights the scene, and places the display.
     Scene,
-    /// Renders views. Between them it solves for the views that are already rendered.
+    /// Renders views, and between them solves for the views that are already rendered.
     Views,
     /// Solves for the finished views.
     Patterns,
@@ -170,7 +170,7 @@ impl Work {
         HAS_DEVICES && self.device.is_some()
     }
 
-    /// Restarts with another display; the scene stays in memory.
+    /// Restarts with another display. A scene stays in memory; a light field is read again.
     ///
     /// # Errors
     /// If the settings are invalid. The work then continues with the previous settings.
@@ -224,8 +224,8 @@ impl Work {
         self.warnings.take().iter().map(ToString::to_string).collect()
     }
 
-    /// Returns the finished fraction of the planned pieces, 0..1. It is 0 until the scene is
-    /// placed.
+    /// Returns the finished fraction of the planned pieces, 0..1. It is 0 until the display is
+    /// placed in the scene, or the light field is read.
     pub fn share(&self) -> f64 {
         if self.planned == 0 { 0.0 } else { 1.0 - self.pieces.len() as f64 / self.planned as f64 }
     }

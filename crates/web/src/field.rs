@@ -31,7 +31,9 @@ impl Field {
         let (rows, cols) = (size[0], size[1]);
         if !bytes.is_some_and(|bytes| (4..=LIMIT).contains(&bytes)) {
             let found = format!("{} × {} views of {cols} × {rows} pixels", views[1], views[0]);
-            return Err(err(format!("light field: expected 1 byte to 1 GiB of pixels, found {found}")));
+            return Err(err(format!(
+                "light field: expected at least one pixel, and at most 1 GiB with 4 bytes per pixel, found {found}"
+            )));
         }
         Ok(Self { size, views, codes: vec![None; views[0] * views[1]] })
     }
@@ -73,7 +75,7 @@ impl Field {
         if view[0] >= self.views[0] || view[1] >= self.views[1] {
             let [last_y, last_x] = self.views.map(|n| n - 1);
             return Err(err(format!(
-                "light field: expected a view up to {last_y}, {last_x}, found {}, {}",
+                "light field: expected a view up to row {last_y}, column {last_x}, found row {}, column {}",
                 view[0], view[1]
             )));
         }

@@ -6,7 +6,8 @@
 //!                              └────▶ AreaMap as textures ─▶ shaders with lookups only      (GPU)
 //! ```
 //!
-//! The CPU draws in tests and on machines without WebGL2. The shaders compute no geometry: tables
+//! The CPU draws in tests, and in browsers in which WebGL2 is missing or slower. It always draws
+//! masks, views of the target, and error maps. The shaders compute no geometry: tables
 //! of [`lumistack_display::AreaMap`] state where a ray hits a layer. All code that does not use the
 //! browser's objects also compiles outside of the browser, where its tests run.
 

@@ -48,7 +48,7 @@ pub struct Slots {
 }
 
 impl Model {
-    /// Makes a preview without pictures; [`Self::put`] adds pictures.
+    /// Makes a model without pictures; [`Self::put`] adds pictures.
     ///
     /// # Errors
     /// If the text is no valid preview; see [`Preview::from_json`].
@@ -347,7 +347,8 @@ impl Model {
 
     /// Returns the error map at a slope, compared with the target's view L nearest to the slope.
     /// The error of a pixel is the largest channel of |gain · L̃ − L|. A pixel is black if the
-    /// display drops the rays of at least half of its area, since they miss a layer.
+    /// display drops the rays of more than half of its area, since they miss a layer. With a pupil,
+    /// a pixel is black if the display drops any of its rays.
     ///
     /// # Errors
     /// If the view has not arrived.

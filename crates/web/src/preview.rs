@@ -64,7 +64,7 @@ pub struct Target {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(into = "Entry", try_from = "Entry")]
 pub struct File {
-    /// Path relative to the preview's folder.
+    /// Path relative to the parent of the folder that contains preview.json.
     pub path: String,
     /// The picture's content.
     pub part: Part,

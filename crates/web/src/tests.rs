@@ -230,8 +230,8 @@ fn frames_count_once_all_their_parts_are_there() {
     assert!(model.view_linear([0.0; 2]).iter().all(|v| *v == 0.0));
     assert_eq!((model.psnr([0.0; 2]), model.frames_ready(), model.targets_ready()), (None, 0, 0));
     // The files of the second frame, three layers and the emission, arrive first. The last file
-    // arrives twice. The pairs are the number of a file, and the number of complete frames after
-    // it.
+    // arrives twice. Each pair is the number of a file, and the number of complete frames after
+    // this file has arrived.
     for (i, ready) in [(4, 0), (5, 0), (6, 0), (7, 1), (7, 1)] {
         model.put(i, &sample.files[i]).unwrap();
         assert_eq!(model.frames_ready(), ready);

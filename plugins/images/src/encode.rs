@@ -7,7 +7,7 @@ use lumistack_plugin::encoding::{Dither, codes8, codes16, panel_codes};
 /// Settings for the codes of a panel.
 #[derive(Clone, Copy)]
 pub(crate) struct PanelCodes {
-    /// Bits per channel of the panel, if they are fewer than the file's.
+    /// Bits per channel of the panel; `None` if unknown. A file with fewer bits limits them.
     pub(crate) bits: Option<u32>,
     pub(crate) dither: Dither,
     /// A number that is different for every layer and frame. It shifts the threshold map, so that

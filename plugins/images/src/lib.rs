@@ -5,7 +5,7 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `layer_L_frame_MM.png` | the mask of one layer in one frame, in the panel's code values: from its darkest state (`black_level`) to its brightest (`peak`) |
+//! | `layer_L_frame_MM.png` | the mask of one layer in one frame, in the panel's code values, unless the parameter `encode` selects others: from its darkest state (`black_level`) to its brightest (`peak`) |
 //! | `backlight_frame_MM.png` | approximate picture of the panel behind the lenslets, with one cell of pixels per lenslet; see [`pictures`] |
 //! | `panel_frame_MM.png` | picture for the panel behind the lenslets, in the panel's own pixels; see [`lumistack_plugin::lenslets`] |
 //! | `simulated_YY_XX.png` | the simulated view of the target's grid for an adapted viewer: emitted radiance / β |
@@ -19,9 +19,10 @@
 //! `views.npz`; the folders `hci/` and `stanford/`. Views of a layer stack are simulated for an
 //! adapted viewer.
 //!
-//! Names of 16-bit PNGs end in `_16bit.png`. EXR and NPZ files contain the values themselves,
-//! linear. On request, PNGs have codes proportional to light; their names end in `_linear.png`. The
-//! second time step of a sequence is written to `t0001/`, the third to `t0002/`, and so on.
+//! Names of 16-bit PNGs end in `_16bit.png`, except in `hci/` and `stanford/`. EXR and NPZ files
+//! contain the values themselves, linear. If `encode` is `linear`, PNGs of masks and views have
+//! codes proportional to light, and names with `_linear` at the end. The second time step of a
+//! sequence is written to `t0001/`, the third to `t0002/`, and so on.
 //!
 //! Memory does not grow with the number of frames. `views.exr` needs twice the memory of all views.
 

@@ -94,9 +94,9 @@ pub(crate) struct NamedView {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", tag = "format", rename_all = "snake_case")]
 pub(crate) enum Format {
-    /// PNG with code values. `panel_bits` and the dithering are stated if the panel has fewer bits
-    /// than the file.
-    /// `encoding` is missing if parts of the picture have different transfer functions.
+    /// PNG with code values. `encoding` is missing if parts of the picture have different transfer
+    /// functions. `panel_bits` is stated if the bits of the driven panel are known, and `dither` if
+    /// the codes are dithered.
     Png {
         bits: u32,
         #[serde(skip_serializing_if = "Option::is_none")]

@@ -7,7 +7,7 @@ use lumistack_plugin::{Host, PluginError, StackInput};
 use crate::ImagesParams;
 
 /// Returns the backlight and its panel behind lenses. Measured values in the parameters replace the
-/// values of the display file.
+/// values of the display file; an offset is added to the file's offset.
 ///
 /// # Errors
 /// If the backlight has no lenslets.
@@ -16,7 +16,8 @@ pub(crate) fn lenslet_panel<'a>(
     params: &ImagesParams,
 ) -> Result<(&'a LensletBacklight, LensletPanel), PluginError> {
     let Backlight::Lenslets(backlight) = &display.backlight else {
-        let text = "parameter `lenslet_panel`: expected a display with a backlight of lenslets, found a uniform one";
+        let text =
+            "parameter `lenslet_panel`: expected a display with a backlight of lenslets, found a uniform backlight";
         return Err(PluginError::Refused(text.into()));
     };
     let rear = &display.layers[0];

@@ -115,7 +115,7 @@ pub(crate) fn schema() -> Schema {
             "bits",
             0,
             0..=16,
-            "Bits per channel of the panels, for masks in PNG pictures. 0 uses the bits that the display file states, or the bits of the picture if the file states none. A code of fewer bits fills the picture's highest bits.",
+            "Bits per channel of the panels, for masks in PNG pictures, if encode is panel. 0 uses the bits that the display file states, or the bits of the picture if the file states none. A code of fewer bits fills the picture's highest bits.",
         )
         .unit("bits"),
         Param::choice(
@@ -127,7 +127,7 @@ pub(crate) fn schema() -> Schema {
                 ("blue_noise", "A threshold map of 64 × 64 pixels without low frequencies."),
                 ("diffusion", "Error diffusion to neighbouring pixels (Floyd and Steinberg)."),
             ],
-            "Dithering of masks between two codes of their panel; dithering preserves the mean light.",
+            "Dithering of masks between two codes of their panel, if encode is panel; dithering preserves the mean light.",
         ),
         Param::choice(
             "views",
@@ -234,12 +234,14 @@ impl Encode {
 }
 
 impl ImagesParams {
+    /// Checks that at least one output is requested, and that no output needs another one.
+    ///
     /// # Errors
-    /// If parameters contradict one another.
+    /// If no output is requested, or `lenslet_panel` is set without a format of pictures.
     pub(crate) fn check(&self) -> Result<(), PluginError> {
         if !self.atlas && !self.writes_views() {
             let text =
-                "parameters `png8`, `png16`, `exr` and all others that write are false: there is nothing to write";
+                "parameters: expected at least one output, such as `png8`, found none: there is nothing to write";
             return Err(PluginError::Refused(text.into()));
         }
         if self.lenslet_panel && !self.writes_pictures() {
@@ -257,7 +259,8 @@ impl ImagesParams {
         if self.writes_views() {
             return Ok(());
         }
-        let text = "parameters: a light field has neither masks nor a panel, and no other output is enabled";
+        let text =
+            "parameters: expected an output of views, since a light field has neither masks nor a panel, found none";
         Err(PluginError::Refused(text.into()))
     }
 

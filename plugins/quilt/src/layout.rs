@@ -64,7 +64,7 @@ impl Layout {
         if size[0] < columns || size[1] < rows {
             let [width, height] = size;
             return refused(format!(
-                "parameters `width` and `height`: expected at least {columns} × {rows} pixels for as many views, found {width} × {height}"
+                "parameters `width` and `height`: expected at least {columns} × {rows} pixels, at least one per view, found {width} × {height}"
             ));
         }
         let own = view_size[0] as f64 / view_size[1] as f64;

@@ -6,8 +6,9 @@
 //! | `NAME_native.png` | with a calibration, the screen's native picture: every subpixel shows the view for the direction into which its lens sends its light; see [`weave`] |
 //! | `quilt.json` | sizes, the slope of every view, and the way in which each view was made |
 //!
-//! Pictures are 8-bit sRGB without alpha. Time steps of a sequence are `NAME_f0000_qs…`,
-//! `NAME_f0001_qs…`, …, the numbering that video encoders read. Memory holds at most one quilt, one
+//! Pictures are 8-bit sRGB without alpha. The second time step of a sequence is `NAME_f0001_qs…`,
+//! the third `NAME_f0002_qs…`, and so on. With the parameter `sequence` the first time step is
+//! `NAME_f0000_qs…`, so that video encoders can read all files. Memory holds at most one quilt, one
 //! view and one native picture.
 
 pub mod devices;

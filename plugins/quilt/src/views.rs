@@ -141,11 +141,11 @@ impl Source<'_> {
     }
 }
 
-/// Returns a warning with advice if a light field of `available` views per row lacks views for a
-/// quilt of `count` views.
+/// Returns a warning with advice if a light field has another number of views per row, `available`,
+/// than the quilt, `count`.
 ///
 /// # Errors
-/// Under [`Missing::Refuse`] if any view is missing.
+/// Under [`Missing::Refuse`] if the numbers differ.
 pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option<String>, PluginError> {
     if available == count {
         return Ok(None);

@@ -73,13 +73,18 @@ impl Calibration {
         };
         let wrong = |key: &str, expected: &str| {
             let found = json.get(key).map_or("nothing".into(), Value::to_string);
-            PluginError::Refused(format!("calibration: {key}: expected {expected}, found {found}"))
+            PluginError::Refused(format!("{key}: expected {expected}, found {found}"))
         };
         let needed = |key: &str| number(key).ok_or_else(|| wrong(key, "a number"));
-        let positive = |key: &str| needed(key).and_then(|x| if x > 0.0 { Ok(x) } else { Err(wrong(key, "above 0")) });
+        let positive =
+            |key: &str| needed(key).and_then(|x| if x > 0.0 { Ok(x) } else { Err(wrong(key, "a number above 0")) });
         let side = |key: &str| {
             let side = positive(key)?;
-            if side.fract() == 0.0 && side <= SIDE_LIMIT { Ok(side as usize) } else { Err(wrong(key, "pixels")) }
+            if side.fract() == 0.0 && side <= SIDE_LIMIT {
+                Ok(side as usize)
+            } else {
+                Err(wrong(key, "a whole number from 1 to 32768"))
+            }
         };
         let flag = |key: &str| number(key).is_some_and(|number| number >= 0.5);
         let slope = needed("slope")?;
@@ -208,16 +213,16 @@ mod tests {
         assert_eq!((good.center, good.inv_view, good.flip_x, good.screen), (0.25, true, false, [384, 216]));
         for (key, value, message) in [
             ("pitch", json!(null), "pitch: expected a number, found null"),
-            ("pitch", json!({"value": -1.0}), "pitch: expected above 0"),
+            ("pitch", json!({"value": -1.0}), "pitch: expected a number above 0"),
             ("slope", json!(0), "slope: expected a number other than 0"),
-            ("screenW", json!(10.5), "screenW: expected pixels"),
+            ("screenW", json!(10.5), "screenW: expected a whole number from 1 to 32768"),
             ("subpixelCells", json!([{"ROffsetX": 0.1}]), "subpixelCells: expected cells of ROffsetX"),
             ("CellPatternMode", json!({"value": 7}), "CellPatternMode: expected 0 to 4"),
         ] {
             let mut bad = plain();
             bad[key] = value;
             let error = Calibration::from_json(&bad).unwrap_err().to_string();
-            assert!(error.starts_with(&format!("calibration: {message}")), "{error}");
+            assert!(error.starts_with(message), "{error}");
         }
         let cell = json!({"ROffsetX": 0, "ROffsetY": 0, "GOffsetX": 0, "GOffsetY": 0, "BOffsetX": 0, "BOffsetY": 0});
         let mut few = plain();

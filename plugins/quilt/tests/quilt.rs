@@ -213,7 +213,7 @@ fn bad_parameters_are_refused_by_name() {
         (json!({"columns": 3}), "parameters `columns` and `rows`: expected both"),
         (json!({"columns": 2, "rows": 1, "width": 1}), "parameters `width` and `height`: expected at least"),
         (json!({"calibration": "nowhere.json"}), "parameter `calibration`: cannot read nowhere.json"),
-        (json!({"calibration": "{\"pitch\": 1}"}), "parameter `calibration`: calibration: slope: expected a number"),
+        (json!({"calibration": "{\"pitch\": 1}"}), "parameter `calibration`: slope: expected a number"),
         (json!({"write_quilt": false}), "parameter `write_quilt` is false"),
         (json!({"device": "phone"}), "parameter `device`: expected one of custom, portrait"),
     ] {

@@ -1,8 +1,8 @@
 //! The curve of a film and a printer: the film's transmittance for each printed code.
 //!
 //! A measured curve is a list of pairs `code transmittance`, for example `0 0.02, 64 0.09, 128 0.3,
-//! 255 0.88`. Three lists, separated by `;`, are for red, green and blue. Codes are 0 to 255 and
-//! transmittances 0 to 1. Codes and transmittances rise, and the last pair belongs to clear film.
+//! 255 0.88`. Three lists, separated by `;`, are for red, green and blue. Codes rise from 0 to 255.
+//! Transmittances are in 0..1 and rise, too. The last pair belongs to clear film.
 //!
 //! A mask value f is printed relative to clear film, of transmittance T_clear. Let `peak` be the
 //! layer's largest value, and T_dark the transmittance of the film's darkest state. At f the film
@@ -41,7 +41,7 @@ impl Film {
         }
         let refused = |found: &str| {
             PluginError::Refused(format!(
-                "parameter `curve`: expected two or more pairs `code transmittance` separated by commas, both rising, codes from 0 to 255, and transmittances in 0..1; one list, or three for red, green and blue, separated by semicolons; found {found:?}"
+                "parameter `curve`: expected two or more pairs `code transmittance` separated by commas, both rising, the first code 0, the last code 255, and transmittances in 0..1; one list, or three for red, green and blue, separated by semicolons; found {found:?}"
             ))
         };
         let tables: Vec<Vec<[f64; 2]>> =

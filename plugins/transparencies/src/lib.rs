@@ -5,7 +5,7 @@
 //! |---|---|
 //! | 1 | assembly sheet: order and sides of films, spacers, and a ruler to check the scale |
 //! | 2 | test chart: steps of codes to measure the printer's curve; see [`curve`] |
-//! | 3, ... | one film per layer, from the rear; see [`sheet`] |
+//! | 3, ... | one film per layer, from the rear; see [`sheet`]. Without a test chart, the films start at page 2 |
 //!
 //! A film's page has the mask, registration marks in the border, and cut lines outside the border.
 //!
@@ -127,7 +127,7 @@ impl OutputPlugin for Transparencies {
             Param::text(
                 "curve",
                 "",
-                "Transmittance of the printed film per code, measured on the test chart: pairs of code (0 to 255) and transmittance (0 to 1). For example \"0 0.02, 128 0.3, 255 0.88\". Three lists, separated by semicolons, are for red, green and blue. Without a curve, codes are sRGB.",
+                "Transmittance of the printed film per code, measured on the test chart: pairs of a code (rising from 0 to 255) and a transmittance (rising, 0 to 1). For example \"0 0.02, 128 0.3, 255 0.88\". Three lists, separated by semicolons, are for red, green and blue. Without a curve, codes are sRGB.",
             ),
             Param::float(
                 "min_transmittance",

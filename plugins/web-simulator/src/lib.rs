@@ -3,7 +3,7 @@
 //! | file | content |
 //! |---|---|
 //! | `index.html`, `app/` | the page; works under any path of any file server |
-//! | `preview.html` | the whole site in one file, which opens by a double click |
+//! | `preview.html` | the page and its pictures in one file, which opens by a double click, without the code for headsets and lenticular displays |
 //! | `stack/preview.json` | title, caption, display, brightness, target, and the list of pictures in the order of loading: first the frames whose mean is nearest to the final picture |
 //! | `stack/poster.jpg` | the seen picture from the middle, which the page shows immediately |
 //! | `stack/around.jpg` | for large stacks: small views from the whole zone, side by side, which the page shows while the patterns load |
@@ -66,7 +66,7 @@ pub struct SimulatorParams {
 
 impl OutputPlugin for WebSimulator {
     const DOC: &'static str = "Writes a static site that simulates the display; mouse, finger or phone move the view. \
-        Open preview.html by a double click, or `lumistack preview` on the run.";
+        Open preview.html by a double click, or use `lumistack preview` on the run.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     type Params = SimulatorParams;
 
@@ -88,7 +88,7 @@ impl OutputPlugin for WebSimulator {
                 true,
                 "Also write views of the target for comparison, at most 7 × 7; they are a large part of the site's size.",
             ),
-            Param::bool("single_file", true, "Also write the whole site as one file, preview.html."),
+            Param::bool("single_file", true, "Also write the page and its pictures as one file, preview.html."),
             Param::float(
                 "single_file_mb",
                 30.0,

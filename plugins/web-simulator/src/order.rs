@@ -1,14 +1,14 @@
 //! Sorts the frames so that the mean of the first few frames is as near as possible to the mean of
 //! all frames.
 
-/// Smallest side of the boxes over which a frame's picture is averaged, pixels. Frames are compared
-/// by these averages, since the eye averages the noise of single pixels.
+/// Smallest side of the boxes over which a frame's picture is summed, pixels. Frames are compared
+/// by these sums, since the eye averages the noise of single pixels.
 const BOX: usize = 8;
 /// Largest number of boxes along a side, so that even a large frame needs little memory.
 const ACROSS: usize = 64;
 
-/// Reduces a picture to its means over boxes of pixels. The picture is the view that one frame
-/// shows to the middle of the viewing zone.
+/// Reduces a picture to its sums over boxes of pixels. The picture is the view that one frame shows
+/// to the middle of the viewing zone.
 pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     let rows = linear.len() / (3 * cols);
     let side = rows.max(cols).div_ceil(ACROSS).max(BOX);

@@ -32,7 +32,7 @@ const POSTER_PLACE: &str = "<!--poster-->";
 const FOLDER: [&str; 2] = ["<!--folder-->", "<!--/folder-->\n"];
 /// Marks around the part of the page about the single file, which is removed if none is written.
 const SINGLE: [&str; 2] = ["<!--single-->", "<!--/single-->"];
-/// Number of bytes that are encoded at a time. It is a multiple of 3, so that the encoded pieces
+/// Number of bytes that are encoded together. It is a multiple of 3, so that the encoded pieces
 /// together are the encoding of the whole file.
 const ENCODED_AT_ONCE: usize = 3 << 16;
 

@@ -22,7 +22,7 @@ const AROUND_PX: usize = 240;
 const POSTER_BYTES: usize = 45_000;
 /// Largest size of the file with all small views, bytes.
 const AROUND_BYTES: usize = 110_000;
-/// JPEG qualities. The first quality whose file is small enough is used.
+/// JPEG qualities. The first quality whose file is small enough is used, or else the last one.
 const QUALITIES: [u8; 6] = [88, 80, 72, 64, 56, 48];
 /// Numbers of small views over the viewing zone, [horizontal, vertical]. Neighbouring small views
 /// are so close that their blend shows no visible double edges.
@@ -113,7 +113,7 @@ fn reduced(linear: &[f32], geometry: &FieldGeometry, most: usize, scale: f32) ->
 }
 
 /// Encodes a picture as JPEG, in the best quality of [`QUALITIES`] whose file has at most
-/// `most_bytes`.
+/// `most_bytes`. If no quality gives such a file, the lowest quality is used.
 fn jpeg_of(picture: &Picture, most_bytes: usize) -> Result<Vec<u8>, PluginError> {
     let (width, height) = (picture.cols as u32, picture.rows as u32);
     let mut jpeg = Vec::new();

@@ -262,7 +262,7 @@ async function guarded(work: () => void | Promise<void>): Promise<void> {
     if (stopped(error)) {
       solver = undefined;
       const why = "the solver stopped, probably because it needs more memory than a page can have";
-      return send({ kind: "error", message: `${title}: ${why}. Choose less detail or fewer frames, or solve it with “lumistack run”.` });
+      return send({ kind: "error", message: `${title}: ${why}. Choose less detail or fewer frames, or use “lumistack run”.` });
     }
     send({ kind: "error", message: error instanceof Error ? error.message : String(error) });
   }

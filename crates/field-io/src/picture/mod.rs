@@ -20,10 +20,11 @@ use samples::Samples;
 pub use openexr::{MultiView, Precision, exr_bytes, write_exr, write_exr_channels, write_exr_noted};
 
 impl Picture {
-    /// Reads a picture; the extension selects the format.
+    /// Reads a picture. The extension `.exr` selects OpenEXR. Other formats are recognized by their
+    /// first bytes, or else by the extension.
     ///
     /// # Errors
-    /// If the extension is unknown, or the file is damaged, truncated or too large.
+    /// If the format is unknown, or the file is damaged, truncated or too large.
     pub fn read(path: &Path) -> Result<Self, FieldError> {
         if is_exr(path) { openexr::read(path) } else { encoded::read(path) }
     }
@@ -50,8 +51,8 @@ impl Picture {
         [self.cols, self.rows]
     }
 
-    /// Returns true if the file has code values, which are clipped at white; false if it has
-    /// radiance.
+    /// Returns true if the picture has sRGB code values, which are clipped at white. Returns false
+    /// if it has linear values: radiance, or code values that were composited by their alpha.
     pub fn is_encoded(&self) -> bool {
         !matches!(self.samples, Samples::Linear(_))
     }

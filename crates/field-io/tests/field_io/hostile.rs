@@ -29,7 +29,7 @@ fn cuts(length: usize) -> Vec<usize> {
 }
 
 /// Truncates a file at many lengths. `read` must fail for each length, and succeed for the whole
-/// file. The last `idle` bytes carry no data, so the file is not cut within them.
+/// file. The last `idle` bytes contain no data, so the file is not cut within them.
 fn truncate(file: &Path, idle: usize, read: impl Fn() -> Result<(), String>) {
     let whole = fs::read(file).unwrap();
     for cut in cuts(whole.len() - idle) {
@@ -278,14 +278,15 @@ fn incomplete_and_doubtful_folders_are_errors() {
         save_png(&folder.path().join(format!("input_Cam{number:03}.png")), [4, 4], |_, _| [9; 3]);
     }
     assert!(
-        plain_error(folder.path()).ends_with("expected num_cams_x and num_cams_y in parameters.cfg, found 3 pictures")
+        plain_error(folder.path())
+            .ends_with("expected num_cams_x and num_cams_y in parameters.cfg, found 3 pictures without these numbers")
     );
     fs::write(folder.path().join("parameters.cfg"), "[extrinsics]\nnum_cams_x = 3\nnum_cams_y = 1\n").unwrap();
     assert!(plain_error(folder.path()).ends_with("expected input_Cam000 to input_Cam002, found no input_Cam002"));
     fs::write(folder.path().join("parameters.cfg"), "[extrinsics]\nnum_cams_x = 5\nnum_cams_y = 1\n").unwrap();
     assert!(plain_error(folder.path()).ends_with("views: expected 5 × 1 pictures, as in parameters.cfg, found 3"));
     fs::write(folder.path().join("parameters.cfg"), "num_cams_x = many\nnum_cams_y = 1\n").unwrap();
-    assert!(plain_error(folder.path()).ends_with("num_cams_x: expected a whole number above 0, found many"));
+    assert!(plain_error(folder.path()).ends_with("num_cams_x: expected a whole number from 1 to 10000, found many"));
 }
 
 #[test]
@@ -316,7 +317,7 @@ fn missing_geometry_names_the_flag() {
     for (flags, message) in [
         (
             GeometryFlags { views: Some([3, 1]), ..flags.clone() },
-            "--views: expected 1 × 1 to 2 × 1 views, as many as the light field has, found 3 × 1",
+            "--views: expected 1 × 1 to 2 × 1 views, which the light field has, found 3 × 1",
         ),
         (GeometryFlags { views: Some([0, 1]), ..flags.clone() }, "--views: expected"),
         (GeometryFlags { resolution: Some([8, 3]), ..flags.clone() }, "--resolution: expected 1 × 1 to 4 × 3 pixels"),
@@ -344,7 +345,7 @@ fn missing_geometry_names_the_flag() {
     let flags = GeometryFlags { quilt: Some([9, 1]), ..GeometryFlags::default() };
     assert!(
         error_of(&picture, &flags, &defaults())
-            .contains("--quilt: expected 1 × 1 to 8 × 8 tiles, at most one per pixel, found 9 × 1")
+            .contains("--quilt: expected 1 × 1 to 8 × 8 tiles, at most one per pixel and 1000 per axis, found 9 × 1")
     );
 }
 

@@ -240,7 +240,8 @@ mod tests {
 
     use super::*;
 
-    /// Returns two views of a textured plane at 45 mm, with a card at −60 mm in its centre.
+    /// Returns two views of a textured plane at −60 mm, with a textured card at 45 mm in front of
+    /// its centre.
     fn two_planes(projection: Projection) -> LightField {
         let grid = ViewGrid { projection, slope_x: vec![0.0, 0.1], slope_y: vec![0.0] };
         let geometry = FieldGeometry { rows: 40, cols: 120, pitch_mm: 1.5, grid };

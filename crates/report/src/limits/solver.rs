@@ -24,7 +24,7 @@ pub(super) fn iterations(history: &[Iteration]) -> Option<Limit> {
         )
     } else {
         format!(
-            "The second half of the {0} iterations brought {1} dB. Another {0} would bring about {1} dB at most.",
+            "The second half of the {0} iterations brought {1} dB. Another {0} iterations would bring at most about {1} dB.",
             last.iteration,
             format::decibels_fine(gain)
         )

@@ -16,7 +16,7 @@ use crate::{ReportError, ReportInput};
 pub(super) const AT_END: f32 = 1e-3;
 /// Relative increase of the brightest state for which a gain is measured.
 pub(super) const BRIGHTER: f64 = 0.01;
-/// Number of bits of a panel whose number of bits is not declared.
+/// Number of bits that is assumed if no layer declares its bits.
 pub(super) const USUAL_BITS: u32 = 8;
 
 /// A variant of the display or the stack.
@@ -68,8 +68,8 @@ impl Variant {
             Self::Brighter => {
                 let factors = match display.formation {
                     Formation::Additive => 1.0,
-                    // Distribute the increase over the layers, so that a fully open display is
-                    // brighter by BRIGHTER in total.
+                    // Distribute the increase over the layers and a directional backlight, so that
+                    // a fully open display is brighter by BRIGHTER in total.
                     _ => (stack.layers.len() + usize::from(stack.emission.is_some())) as f64,
                 };
                 let factor = (1.0 + BRIGHTER).powf(1.0 / factors) as f32;
@@ -123,7 +123,7 @@ pub(super) fn bits_are_given(display: &Display) -> bool {
 }
 
 /// Returns the levels that a layer's values can have: the levels of its codes. If no layer declares
-/// its bits, these are the levels of 8 bits.
+/// its bits, these are the levels of 8 bits. `None` if only other layers declare their bits.
 fn levels(display: &Display, layer: &Layer) -> Option<Vec<f32>> {
     if bits_are_given(display) {
         return layer.levels();
@@ -151,8 +151,8 @@ pub(super) fn emission_range(display: &Display) -> Option<[f32; 2]> {
     }
 }
 
-/// Returns the error of a variant over the central view and the corner views. Also returns the
-/// regression of the target on the variant's light.
+/// Returns the error of a variant over the central view and the corner views, and the sums for
+/// regressions between the variant's light and the target.
 pub(super) fn simulated_error(
     input: &ReportInput,
     display: &Display,
@@ -211,9 +211,9 @@ impl Tone {
     }
 
     /// Returns (offset, slope, fraction) with x = L̃/β and y = L. Offset and slope belong to the
-    /// line x ≈ offset + slope·y, which is the mean tone curve. The fraction is the fraction of the
-    /// squared error that the best line y ≈ a + b·x would remove. `None` if x, y or the error
-    /// hardly varies.
+    /// line x ≈ offset + slope·y, which approximates the shown value x of a target value y. The
+    /// fraction is the fraction of the squared error that the best line y ≈ a + b·x would remove.
+    /// `None` if x, y or the error hardly varies.
     pub(super) fn fit(self) -> Option<(f64, f64, f64)> {
         let [x, y, xx, xy, yy] = self.sums.map(|sum| sum / self.count);
         let (var_x, var_y, cov) = (xx - x * x, yy - y * y, xy - x * y);

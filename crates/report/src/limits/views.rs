@@ -49,7 +49,8 @@ impl Part {
 }
 
 /// Returns two limits: by content outside of the layers' depths, and by depth discontinuities. Both
-/// are measured in the leftmost, the central and the rightmost view of the central row.
+/// are measured in the leftmost, the central and the rightmost view of the central row. There are
+/// no such limits if a row has one view, or if matching failed.
 pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>, ReportError> {
     let geometry = input.target.geometry();
     let (order, down) = (left_to_right(&geometry.grid), top_to_bottom(&geometry.grid));
@@ -58,7 +59,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         return Ok(Vec::new());
     }
     task.cancel.check()?;
-    // Measure the three views, each matched with a neighbour.
+    // Measure the views (two or three), each matched with a neighbour.
     let mut places = vec![(0, 1), (middle, if middle < last { middle + 1 } else { middle - 1 }), (last, last - 1)];
     places.dedup_by_key(|(place, _)| *place);
     let (low, high) = depth_range(input.display);
@@ -107,7 +108,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         );
         text += &if all.gain() > 0.0 {
             let gain = format::decibels_fine(all.gain());
-            format!("If such rays were as good as all other rays, these three views would be {gain} dB better.")
+            format!("If such rays were as good as all other rays, these views would be {gain} dB better.")
         } else {
             "Such rays are no worse than other rays.".into()
         };

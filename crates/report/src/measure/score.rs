@@ -76,8 +76,8 @@ impl<'a> Judge<'a> {
         Ok(FieldScore { geometry: geometry.clone(), views, brightness: self.input.stack.brightness })
     }
 
-    /// Returns the scores of a direction of the zone. Among them, the squared error is taken from
-    /// the zone score, in which the references' noise is removed.
+    /// Returns the scores of a direction of the zone. The squared error is that of the zone score,
+    /// which excludes the noise of rendered references.
     pub(crate) fn zone_view(&self, view: &ZoneView) -> ViewFigures {
         let figures = self.figures(self.input.target.geometry(), &view.target, &view.seen, &view.seen.valid);
         let count = 3 * view.score.pixels as u64;

@@ -1,4 +1,4 @@
-//! Arranges all views in one picture, for the view explorer.
+//! Arranges all views in one picture, for the section "Look around" of the page.
 
 use lumistack_display::{FieldGeometry, SeenView, ViewGrid};
 

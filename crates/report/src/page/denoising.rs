@@ -6,7 +6,7 @@ use super::{figure, legend};
 use crate::picture::{DIVERGING, Encoding, Linear, amplification, difference, shrink_factor, signed_error};
 use crate::{ReportError, ReportInput, format};
 
-/// Maximum number of pixels of the three pictures.
+/// Maximum number of pixels of the three pictures together.
 const BUDGET: usize = 1_500_000;
 
 pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
@@ -38,7 +38,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
             div class="compare three group" {
                 (figure(&before, "The middle view as rendered", "As rendered, unbiased"))
                 (figure(&after, "The middle view filtered", "Filtered"))
-                (figure(&taken, "Change by the filter", &format!("Filtered − as rendered, × {gain}: structure beyond grain is detail that the filter removed")))
+                (figure(&taken, "Change by the filter", &format!("Filtered − as rendered, × {gain}: structure other than noise is detail that the filter removed")))
             }
             (legend(&DIVERGING, &[format!("≤ −{end} darker than rendered"), "0".into(), format!("≥ +{end} brighter")]))
             details {

@@ -22,7 +22,7 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                 p {
                     @match &of_field {
                         Some([low, high]) => {
-                            "The display can show the finest detail of its pixels from " (low) " to " (high) " mm (positive is towards the viewer). "
+                            "The display can show the finest detail of the light field's pixels from " (low) " to " (high) " mm (positive is towards the viewer). "
                             strong { (format::percent(budget.inside)) } " of the hits in all views are in this range, and " (format::percent(budget.inside_middle)) " of the hits in the central view. "
                         }
                         None => "The display shows the finest detail of the light field's pixels at no depth. ",
@@ -31,7 +31,7 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                 }
                 p {
                     "Between neighbouring views the content moves by " (median) " pixels (median), " (most) " (98 %), at most " (largest) ". "
-                    (format::percent(budget.beyond_a_pixel)) " of it moves by more than a pixel: a moving eye sees steps there, and in-between views show double contours."
+                    (format::percent(budget.beyond_a_pixel)) " of the content moves by more than a pixel. There a moving eye sees steps, and in-between views show double contours."
                 }
                 @if budget.moved_back_mm != 0.0 || budget.depth_scale != 1.0 {
                     p {

@@ -13,7 +13,7 @@ use crate::{Found, ReportError, ReportInput, Solution, Stage, format, plot};
 /// Makes the bar of main scores under the title.
 pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     let geometry = input.target.geometry();
-    // Show the number of views for which the solver solved, since the page shows only some of them.
+    // Show the display's number of views, since the page may show only some of them.
     let [view_cols, view_rows] = input.display.views();
     let pixels = format!("across × up, {} × {} pixels each", geometry.cols, geometry.rows);
     let db = |value: f64| format!("{} dB", format::decibels(value));
@@ -54,7 +54,7 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
         figures.push((
             "Time of this run",
             format::duration(total),
-            "all stages, without checks before them and this report",
+            "all stages, without the checks before them and without this report",
         ));
     }
     html! {
@@ -81,7 +81,7 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
                 h2 { "Whole viewing zone" }
                 p class="quiet" {
                     "Unknown: the solver used all views of the given light field, so there are no references between them. The scores below are the scores of these views. "
-                    "If a light field has more views than the display needs, keep fewer (" code { "--views" } "). The others are then the references of the zone."
+                    "If a light field has more views than the display needs, keep fewer views (" code { "--views" } "). The other views are then the references of the zone."
                 }
             }
         };
@@ -112,7 +112,7 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
             h2 { "Whole viewing zone" }
             p {
                 "Eyes may be anywhere, so the display is scored from " (directions.len()) " directions over its whole zone, none of which the solver used. Each seen picture, averaged over the area of every pixel, is compared with "
-                @if zone.left_out { "a view of the given light field that was left out" } @else { "two renders of the scene from there, so that their noise is excluded" }
+                @if zone.left_out { "a view of the given light field that was left out" } @else { "two renders of the scene from the same direction, so that their noise is excluded" }
                 ": " strong { (mean) } " over all directions, " strong { (worst) } " over the worst tenth. SSIM and FLIP are means over the first eight directions"
                 @if !zone.left_out { ", whose renders have more samples" } "."
             }
@@ -144,7 +144,7 @@ const HEATS: [Heat; 3] = [
     Heat {
         heading: "PSNR per view, dB",
         explanation: "Every cell is a view, laid out as an eye in front of the display moves: the topmost views in the top row. PSNR is 10·log₁₀(1/mean squared error) in linear light with peak 1; \
-                      6 dB more is half the error. It usually falls towards the corners; a single bad cell marks a view to check.",
+                      6 dB more is half the error. PSNR usually falls towards the corners; a single bad cell marks a view to check.",
         value: |view| view.error.psnr(),
         overall: FieldScore::psnr_view,
         text: format::decibels,
@@ -185,7 +185,7 @@ pub(super) fn quality(input: &ReportInput, measured: &Measured) -> Markup {
             h2 { "Quality per view" }
             @for heat in &HEATS { (heat.tables(measured)) }
             p class="quiet" {
-                "FLIP for " (format::number_short(input.pixels_per_degree)) " pixels of a view per degree of visual angle. SSIM and FLIP compare L̃/β with the target, clamped to 0..1. For rays that are "
+                "FLIP assumes " (format::number_short(input.pixels_per_degree)) " pixels of a view per degree of visual angle. SSIM and FLIP compare L̃/β with the target, clamped to 0..1. For rays that are "
                 "excluded, both have the value of the target."
                 @if measured.held_out.is_none() || measured.outside.is_none() {
                     " Views that were not rendered ("
@@ -262,7 +262,7 @@ pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
         section id="limits" {
             h2 { "Limits of the result" }
             p {
-                "Measured on this layer stack, without solving again. Each line has the gain of the PSNR if one effect were absent and all else unchanged; the largest gain is first. Effects overlap, so the "
+                "Measured on this layer stack, without solving again. A number in dB is the gain of the PSNR if one effect were absent and all else unchanged; the largest gain is first. For brightness and iterations it is extrapolated, as the text states. Effects overlap, so the "
                 "gains do not add up. Effects that need another simulation are measured only at the central view and the corners."
             }
             ol class="limits" {

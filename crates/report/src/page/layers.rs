@@ -78,7 +78,7 @@ fn scale(display: &Display) -> &'static str {
 fn expectation(display: &Display, frames: usize) -> &'static str {
     match (&display.backlight, display.layers.len(), frames) {
         (Backlight::Lenslets(_), _, _) => {
-            "The layer should contain content that is equal in all views, with flowing slit-like patterns around all other content. The backlight should contain mostly content that changes with the view, such as objects far in front of or behind the display."
+            "A layer should contain content that is equal in all views, with flowing slit-like patterns around all other content. The backlight should contain mostly content that changes with the view, such as objects far in front of or behind the display."
         }
         (Backlight::Uniform, 1, _) => {
             "One layer with a uniform backlight shows the same picture to every eye: expect the mean of all views."

@@ -47,9 +47,9 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
     let iterations = format!("{iterations} iterations");
     let figures = [
         (
-            "Times",
+            "Time steps",
             input.times.len().to_string(),
-            "each starts from the patterns of the previous time step, unless its content differs too much",
+            "each starts from the patterns of the previous time step, unless a fresh start is better",
         ),
         ("PSNR of the views", db(Some(report.psnr_view)), "psnr_view of all time steps together"),
         ("PSNR of raw light", db(Some(report.psnr_raw)), "psnr_raw: emitted light, L̃ against βL"),
@@ -69,7 +69,7 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
     }
 }
 
-/// Shows central views, with the target above and the display below.
+/// Shows central views: the target in the upper row, the display in the lower row.
 fn pictures(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
     // Show evenly spaced time steps, including the first and the last one.
     let count = times.len().min(PICTURES);
@@ -82,9 +82,9 @@ fn pictures(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
         section id=(id) class="headline" {
             h2 { "Central view over time" }
             p {
-                "Above the target, below the display (divided by β, clamped to 0..1 and sRGB-encoded)."
+                "The upper row shows the target, the lower row the display (divided by β, clamped to 0..1 and sRGB-encoded)."
                 @if times.len() > count { " " (count) " of " (times.len()) " time steps, evenly spread." }
-                " Click a picture and hold an arrow key to play them."
+                " To play the time steps, click a picture and hold an arrow key."
             }
             div class="times" style=(format!("--across:{count}")) {
                 div class="group" { @for (time, wanted, _) in &cells { (picture(wanted, &format!("{}: target", time.name))) } }
@@ -109,7 +109,7 @@ fn plots(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
         section id=(id) {
             h2 { "Error and flicker over time" }
             p {
-                "Left: the PSNR of every time step. The first time step has no warm start. If the curve falls after it, more iterations at later time steps help."
+                "Left: the PSNR of every time step. The first time step has no warm start. If the curve falls after the first time step, more iterations at later time steps help."
                 @if flicker.is_some() {
                     " Next: flicker, the unwanted change. Flicker is the rms, over all rays and channels, of the change of the error L̃/β − L since the previous time step, in dB below full "
                     "brightness, so higher means less flicker. A constant error does not flicker. If errors of time steps are independent, flicker is 3 dB below the PSNR."
@@ -150,7 +150,7 @@ fn table(times: &[SequenceTime], id: &str) -> Markup {
                 "\"start, dB\" is the PSNR before the first iteration."
             }
             details open[times.len() <= 60] {
-                summary { (format::counted(times.len(), "time")) }
+                summary { (format::counted(times.len(), "time step")) }
                 div class="scroll" {
                     table class="layers" {
                         thead { tr { @for name in names { th scope="col" { (name) } } } }

@@ -1,4 +1,5 @@
-//! Selects the position of the close-ups: where masks have the finest changes between frames.
+//! Selects the position of the close-ups: where masks have the finest changes between frames or, if
+//! there is one frame, the finest detail.
 //!
 //! The energy of a mask pixel is a sum over frames and channels. Its terms are the squared
 //! differences between the pixel and its right and lower neighbours. If there are several frames,
@@ -91,7 +92,8 @@ impl Window {
 impl Totals {
     fn of(patterns: &Tensor<4>) -> Self {
         let [frames, rows, cols, _] = patterns.shape();
-        // Subtract the mean over frames, since only changes between frames are of interest.
+        // If there are several frames, subtract their mean, since only changes between frames are
+        // of interest.
         let line = cols * 3;
         let mut mean = vec![0.0f32; rows * line];
         if frames > 1 {

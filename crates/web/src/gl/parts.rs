@@ -16,6 +16,8 @@ pub(crate) fn message(value: &JsValue) -> Error {
     err(format!("WebGL2: {value:?}"))
 }
 
+/// Checks that the context is not lost.
+///
 /// # Errors
 /// If the context is lost; all data must be uploaded to a new context.
 pub(crate) fn check(gl: &Gl) -> Result<(), Error> {
