@@ -21,9 +21,9 @@ use crate::json::{map_of, parsed, table, to_python};
 /// * `what`: name of a preset (displays() lists them), path of a display file (.toml), a mapping
 ///   with the keys of such a file, or another Display; by default "paper-three-layer"
 /// * resolution: (columns, rows) of the light field; the layers' resolutions change by the same
-///   factor, and sizes in millimetres stay
-/// * views: (horizontal, vertical) number of views; "auto": so many that the display is also right
-///   in directions between the views; {"step": (x, y)}: views at multiples of these slopes
+///   factor, and sizes in millimetres stay the same
+/// * views: (horizontal, vertical) number of views; "auto": enough views for a display that is also
+///   correct in directions between them; {"step": (x, y)}: views at multiples of these slopes
 /// * fov_deg: (horizontal, vertical) field of view, full angles in degrees, 0 to less than 180
 /// * frames: time-multiplexed frames M, 1 to 1000
 /// * brightness: brightness scale β, above 0 and at most 1: the display emits β times the target

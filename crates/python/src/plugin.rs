@@ -40,7 +40,9 @@ fn launcher(py: Python<'_>) -> PyResult<Launcher> {
     let package: PathBuf = py.import("lumistack")?.getattr("__path__")?.get_item(0)?.extract()?;
     let folder = package.parent().unwrap_or(&package).as_os_str().to_owned();
     if program.as_os_str().is_empty() {
-        return Err(pyo3::exceptions::PyRuntimeError::new_err("Python does not know its own program"));
+        return Err(pyo3::exceptions::PyRuntimeError::new_err(
+            "sys.executable: expected the path of the interpreter, found none",
+        ));
     }
     Ok(Launcher { program, args: vec!["-c".into(), BOOT.into(), folder] })
 }
