@@ -14,7 +14,7 @@ use crate::web;
 pub const USAGE: &str = "\
 cargo xtask bench [what]
 
-  (nothing)     `factorize --no-peers`, then `render`
+  (nothing)     `factorize --no-peers`, then `render --no-peers`
   factorize     the paper's main case, 840×525 pixels, 5×5 views, 3 layers, 6 frames: time per update of every
                 solver, time to the quality of 50 iterations of the paper's rule, and the fractions of the machine's
                 limits; compared with the same update in NumPy and PyTorch, run in turn on the same data (some minutes)

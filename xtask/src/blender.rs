@@ -113,7 +113,7 @@ pub fn some(names: &str, version: &str) -> Outcome {
     let python = environment(version)?;
     let zip = zip_of(machine()?);
     if !zip.is_file() {
-        return Err(format!("{}: missing: `cargo xtask blender` makes it", zip.display()));
+        return Err(format!("{}: expected the extension, found none; `cargo xtask blender` makes it", zip.display()));
     }
     cases(&python, &zip, version, names)
 }
@@ -246,7 +246,9 @@ fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
         let name = name_of(wheel);
         let expected = format!("lumistack-{}-cp311-abi3-", env!("CARGO_PKG_VERSION"));
         let tag = name.strip_prefix(&expected).and_then(|rest| rest.strip_suffix(".whl"));
-        let tag = tag.ok_or_else(|| format!("{}: expected a wheel {expected}PLATFORM.whl", wheel.display()))?;
+        let tag = tag.ok_or_else(|| {
+            format!("{}: expected a wheel {expected}PLATFORM.whl, found another name", wheel.display())
+        })?;
         // a tag is for example manylinux_2_28_x86_64 or macosx_11_0_universal2
         let fits = |platform: &&Platform| {
             let [system, machine] = platform.tag;

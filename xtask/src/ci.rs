@@ -20,8 +20,8 @@ use crate::web;
 use crate::words;
 use crate::workflows;
 
-/// The Rust version whose lints must pass. A newer compiler may have further lints that the code
-/// does not satisfy yet, so with a newer compiler lints only warn.
+/// The Rust version whose lints must pass. Another version may have lints that the code does not
+/// satisfy, so with another version lints only warn.
 const LINTED_WITH: &str = "1.95";
 
 /// The finished steps, with the seconds that each took.
@@ -104,7 +104,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
         println!("\n{error}; the tests of the page run again, alone");
         steps.step("web, alone", web::check)?;
     }
-    // run this step alone, since it counts refreshes, and other steps would delay these
+    // run this step alone, since it counts refreshes, which other steps would delay
     steps.step("stalls", || panels::stalls(full))?;
     if full {
         steps.step("slow tests", || {
