@@ -37,8 +37,8 @@ def main(words: list[str]) -> int:
         for name, value in asked.scene_settings.items():
             setattr(scene, name, value)
         job = jobs.Job(scene, factorize=asked.what == "make")
-        # A command has no window, but exporters need one. `in_window` gives the exporters one of the
-        # file's windows, which shows the scene that the command requests.
+        # A command has no window, but exporters need one. `in_window` gives the exporters one of
+        # the file's windows, which shows the scene that the command requests.
         with handover.in_window(bpy, scene):
             if asked.fit_depth:
                 print(jobs.fit_depth(scene, compress=asked.fit_depth == "compress"), flush=True)

@@ -17,7 +17,7 @@ cargo xtask gallery [folder] [options]
   --size COLSxROWS default 420x262
   --samples N      paths per pixel; default 128
   --turn DEG       rotation of the viewer to the right
-  --threads N      of both renderers; default all
+  --threads N      number of threads of each renderer; default all
 
 The package bpy (Blender as a Python module, some 400 MB, for Python 3.11) is fetched into target/python-gallery at the first run; without it
 the page shows Lumistack's renders alone. LUMISTACK_BENCH_PYTHON names a Python that has it already.

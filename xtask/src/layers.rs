@@ -40,8 +40,8 @@ pub const PORTABLE: [&str; 11] = [
     "lumistack-web-solver",
 ];
 
-/// Crates to which development dependencies may add features, since no program uses what is added:
-/// the command calls `getrandom::fill` alone, and `proc-macro2` is a dependency of xtask.
+/// Crates to which development dependencies may add features, since no program uses these features:
+/// the command calls only `getrandom::fill`, and only xtask uses `proc-macro2`.
 const RICHER_IN_TESTS: [&str; 2] = ["getrandom", "proc-macro2"];
 
 /// Items of the standard library that portable crates must not use. Files and times are passed to
@@ -106,8 +106,9 @@ pub fn check() -> Outcome {
     let (in_programs, in_tests) = (features("normal,no-proc-macro")?, features("normal,dev,no-proc-macro")?);
     for known in in_programs.difference(&in_tests) {
         if !RICHER_IN_TESTS.iter().any(|name| known.split(' ').next() == Some(name)) {
-            problems
-                .push(format!("{known}: expected the same features in tests, found more of development dependencies"));
+            problems.push(format!(
+                "{known}: expected the same features in tests, found more, from development dependencies"
+            ));
         }
     }
     if problems.is_empty() {

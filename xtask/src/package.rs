@@ -88,8 +88,8 @@ pub fn install() -> Outcome {
             names.push(name);
         }
     }
-    // The packages require each other from a registry. There they are not yet, so the workspace
-    // replaces them by the unpacked packages.
+    // The packages require each other from a registry, which does not have them yet. So the
+    // workspace replaces them by the unpacked packages.
     let mut workspace =
         String::from("[workspace]\nresolver = \"3\"\nmembers = [\"lumistack-*\"]\n\n[patch.crates-io]\n");
     names.iter().for_each(|[name, version]| {
@@ -162,11 +162,11 @@ fn front(package: &Value, name: &str, manifest: &Path, problems: &mut Vec<String
     }
     for part in ["\n```", "**Units and conventions:**", "\nLicence: MIT OR Apache-2.0."] {
         if !text.contains(part) {
-            problems.push(format!("{}: has no `{}`", path.display(), part.trim_start()));
+            problems.push(format!("{}: expected the text `{}`, found none", path.display(), part.trim_start()));
         }
     }
     if !package["metadata"]["docs"]["rs"]["targets"].is_array() {
-        problems.push(format!("{name}: expected `targets` in [package.metadata.docs.rs]"));
+        problems.push(format!("{name}: expected `targets` in [package.metadata.docs.rs], found none"));
     }
     // the example is tested with the crate's documentation; the command's example has its own test
     let code = manifest.with_file_name("src").join("lib.rs");

@@ -191,7 +191,10 @@ fn within<T>(
     std::thread::scope(|scope| {
         scope.spawn(move || {
             if has_ended.recv_timeout(longest) == Err(RecvTimeoutError::Timeout) {
-                println!("\n`{name}` has run for {} s, which is too long; it is killed:", longest.as_secs());
+                println!(
+                    "\n`{name}` has run for {} s, which is too long; these processes are killed:",
+                    longest.as_secs()
+                );
                 kill_tree(id);
             }
         });

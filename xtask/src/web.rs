@@ -326,7 +326,7 @@ fn chromium() -> Outcome<PathBuf> {
     found().ok_or_else(|| {
         let error = install.err().unwrap_or_default();
         format!(
-            "web: found no browser for the test of the page. Install Chromium, or set LUMISTACK_CHROMIUM to the path of a Chromium program. {error}"
+            "web: expected Chromium for the test of the page, found none. Install Chromium, or set LUMISTACK_CHROMIUM to the path of a Chromium program. {error}"
         )
     })
 }
@@ -364,7 +364,10 @@ fn measure() -> Outcome {
         }
         println!("{part:>28} {:8} bytes, gzip {:7}, brotli {:7} of {budget}", total[0], total[1], total[2]);
         if total[2] > budget {
-            return Err(format!("web: the {part} has {} bytes compressed, more than {budget}", total[2]));
+            return Err(format!(
+                "web: {part}: expected at most {budget} bytes, compressed with Brotli, found {}",
+                total[2]
+            ));
         }
     }
     Ok(())

@@ -72,8 +72,8 @@ def case_make(folder, zip_path):
     held = jobs.shown[scene.name]
     assert held.score.directions == 4 and 10.0 < held.score.worst < held.score.psnr_zone < 40.0, held.score
     assert held.score.text() in " ".join(job.said) and "PSNR" not in " ".join(job.said), job.said
-    # The score is for directions that the solver did not use, so it is below the PSNR of the solver's
-    # views.
+    # The score is for directions that the solver did not use, so it is below the PSNR of the
+    # solver's views.
     own = held.stack.psnr(lumistack.LightField.open(out / "target"))
     assert held.score.psnr_zone < own - 1.0, (held.score, own)
     # The button shows a picture from between the views, not the one from straight ahead.
