@@ -143,8 +143,8 @@ fn fetch() -> Outcome<PathBuf> {
     Ok(python)
 }
 
-/// Longest time that a program of `ci` may take. The slowest program, `cargo test`, takes half of
-/// this time.
+/// Longest time that a program of `ci` may take without `--full`. The slowest program, `cargo
+/// test`, takes half of this time.
 const LONGEST: Duration = Duration::from_mins(25);
 
 /// Runs all checks, and prints a table with the time of each step.
@@ -164,8 +164,8 @@ pub fn run_ci(full: bool) -> Outcome {
     Ok(())
 }
 
-/// Compiles the portable crates to wasm32 without threads, with WebAssembly's vectors, as the
-/// modules of the pages.
+/// Checks that the portable crates and the viewer's crate compile to wasm32, without threads and
+/// with WebAssembly's vectors, as in the modules of the pages.
 fn wasm() -> Outcome {
     if !tools::wasm_target() {
         tools::skipped("wasm32", "this machine cannot get the Rust target wasm32-unknown-unknown");
@@ -177,7 +177,7 @@ fn wasm() -> Outcome {
         arguments.extend(["--package", name]);
     }
     cargo(&arguments)?;
-    // only this crate has code that depends on vectors; it must compile without them too
+    // only `lumistack-simd` has code that depends on vectors; it must compile without vectors, too
     cargo(&[&check[..], &["--package", "lumistack-simd"]].concat())
 }
 

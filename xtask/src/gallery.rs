@@ -1,5 +1,5 @@
-//! Makes the gallery: a page with Lumistack's renders of glTF files next to Blender's, with the
-//! same camera and light.
+//! Makes the gallery: a page with Lumistack's renders of glTF and USD files next to Blender's, with
+//! the same camera and light.
 
 use std::path::{Path, PathBuf};
 

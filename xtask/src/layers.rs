@@ -122,12 +122,13 @@ pub fn check() -> Outcome {
     }
 }
 
-/// Returns the name, version and features of each crate that dependencies of these kinds use.
+/// Returns the name, version and features of each crate that the workspace uses through
+/// dependencies of these kinds.
 fn features(kinds: &str) -> Outcome<BTreeSet<String>> {
     let mut tree = command("cargo");
     tree.arg("tree").args(EVERYTHING).args(["--edges", kinds, "--prefix", "none", "--format", "{p} [{f}]"]);
     let tree = output_of(&mut tree).ok_or("cargo tree failed")?;
-    // cargo marks a crate whose dependencies it has printed before
+    // remove cargo's mark of a crate whose dependencies were printed before
     Ok(tree.lines().map(|line| line.trim_end_matches(" (*)").to_owned()).collect())
 }
 

@@ -1,6 +1,6 @@
-//! Checks the command and the Python module for Windows and macOS. On every machine it checks their
-//! types for these systems. On Windows or macOS itself it can also run the tests that need no other
-//! program. On Linux it can run the tests for Windows in Wine.
+//! Checks the command and the Python module for Windows and macOS. Every machine can check their
+//! types for these systems. Windows and macOS can also run the tests that need no other program.
+//! Linux can run tests for Windows in Wine.
 
 use std::process::Stdio;
 

@@ -102,7 +102,7 @@ fn newest() -> Outcome<PathBuf> {
     if output_of(command("mmdebstrap").arg("--version")).is_none() {
         tools::apt(&["mmdebstrap"], "unpack the newest Python")?;
     }
-    // Unpack the packages with the settings with which this machine's apt fetches packages.
+    // Unpack the packages. They are fetched with the settings of this machine's apt.
     let settings = output_of(command("apt-config").arg("dump")).ok_or("apt-config does not start")?;
     let settings: Vec<&str> = settings.lines().filter(|line| line.starts_with("Acquire::")).collect();
     let file = folder.with_extension("conf");

@@ -173,7 +173,7 @@ pub fn limit(longest: Duration) {
     let _ = LIMIT.set(longest);
 }
 
-/// Calls `finish`, which waits for the program, and kills the program at the limit.
+/// Calls `finish`, which waits for the program. Kills the program at the limit.
 fn within_limit<T>(child: Child, name: &str, finish: impl FnOnce(Child) -> std::io::Result<T>) -> std::io::Result<T> {
     match LIMIT.get() {
         Some(longest) => within(*longest, child, name, finish),
@@ -204,7 +204,7 @@ fn within<T>(
     })
 }
 
-/// Prints and kills a process and all processes that it started. Only Linux lists the latter.
+/// Prints and kills a process, and on Linux also all processes that it started.
 fn kill_tree(root: u32) {
     // /proc/ID/stat: id, name in parentheses, state, parent's id, …
     let mut children: HashMap<u32, Vec<u32>> = HashMap::new();

@@ -196,13 +196,14 @@ pub fn own_program() -> Outcome<PathBuf> {
     program(&host()?)
 }
 
-/// The free-threaded Python, which has no lock, for which there are wheels. The wheels for all
-/// other versions use Python's stable ABI, which free-threaded versions lack before 3.15.
+/// The free-threaded Python (without a lock) that has wheels of its own. The wheels for all other
+/// versions use Python's stable ABI, which free-threaded versions lack before 3.15.
 const FREE_THREADED: &str = "python3.14t";
 
-/// Builds the wheels for a target: the wheel for all versions of Python from 3.11 on, whose path is
-/// returned, and the wheel for [`FREE_THREADED`]. For Linux maturin knows the properties of this
-/// Python. For other systems maturin needs the program, so without it there is no such wheel.
+/// Builds the wheels for a target: one for all versions of Python from 3.11 on, and one for
+/// [`FREE_THREADED`]. Returns the path of the first wheel. For Linux maturin knows the properties
+/// of the free-threaded Python. For other systems maturin needs its program; without the program,
+/// only the first wheel is built.
 pub fn wheels(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
     let python = builders()?;
     let stable = wheel(target, &python, &python, folder, licences)?;
