@@ -17,7 +17,7 @@ from . import settings as settings_of
 #: reach. The first pair is for Blender's views, the second for views of our path tracer, which cost
 #: less.
 SCORED = ((2, 0.7), (4, 1.0))
-#: Light fields larger than this are named with their size.
+#: The panel states the size of light fields that are larger than this.
 LARGE_MIB = 1024.0
 ENGINES = {"CYCLES": "Cycles", "BLENDER_EEVEE": "EEVEE", "BLENDER_EEVEE_NEXT": "EEVEE", "BLENDER_WORKBENCH": "Workbench"}
 

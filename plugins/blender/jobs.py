@@ -100,7 +100,7 @@ class Job:
 
     scene: object
     factorize: bool = True
-    #: True if only one view is rendered, to measure its time.
+    #: True if only a few or small views are rendered, to measure their time.
     probe: bool = False
     warnings: list[str] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
@@ -205,7 +205,8 @@ class Job:
         return stack
 
     def _probe(self, folder: Path):
-        """Renders one view, or the views at a quarter of the resolution, to measure the time."""
+        """Renders at most two views by Blender, or all views at a quarter of the resolution by Lumistack's
+        path tracer, to measure the time."""
         settings = self.scene.lumistack
         display = display_of(settings)
         window = window_of(self.scene, display)
@@ -377,7 +378,7 @@ class Job:
         fields = result_of(work)
         found = [each.radiance for each in fields]
         for line in heard:
-            # `_check_depth` reports depth in the words of the panel.
+            # Skip warnings about depth, which `_check_depth` reports in the words of the panel.
             if not line.startswith("depth:"):
                 self.warn(scene.name, line)
         if is_shown:

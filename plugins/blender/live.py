@@ -7,7 +7,8 @@
 The session starts `lumistack live`, or attaches to one that runs.
 Handlers only record that the scene has changed. A timer exports the scene, since an export in a
 handler would call the handler again. Every export writes the whole scene. The next export waits
-until the last one is shown. A rest after every export limits exports to a third of Blender's time.
+until a state shows the last export, but at most `PATIENCE_S`. A rest after every export limits
+exports to a third of Blender's time.
 """
 
 from __future__ import annotations
@@ -99,7 +100,8 @@ class Session:
         return self.program.state
 
     def stop(self, reason: str = "") -> None:
-        """Requests the program's end. The timer continues to call `step` until the program has ended."""
+        """Requests the end of the program, or of the connection to a program that the session did not
+        start. The timer continues to call `step` until this end."""
         self._asked, self.reason = True, reason
         self.program.stop()
 
@@ -240,13 +242,13 @@ def start(scene) -> None:
 
 
 def stop(reason: str = "") -> None:
-    """Requests the program's end; its run folder stays."""
+    """Requests the end of the session. The run folder stays."""
     if session is not None:
         session.stop(reason)
 
 
 def end_now() -> None:
-    """Ends the program and waits for its end."""
+    """Ends the session, and waits for the end of its program or connection."""
     global session
     if session is not None:
         session.program.end(END_S)

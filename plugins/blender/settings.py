@@ -311,8 +311,8 @@ def is_automatic(settings) -> bool:
 
 def display_of(settings, is_live: bool = False) -> lumistack.Display:
     """Returns the display with the changes of the settings. Raises the package's error if the display
-    is invalid. With `is_live`, the display keeps its own views, or chooses them itself, so Every
-    Second has no effect."""
+    is invalid. With `is_live`, Every Second has no effect, since `lumistack live` chooses the automatic
+    views."""
     if settings.display_from == "FILE":
         path = bpy.path.abspath(settings.file)
         if not os.path.isfile(path):

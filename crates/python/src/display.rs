@@ -154,7 +154,7 @@ impl Display {
         adapted(py, &self.0, &light_field.field).map(Self)
     }
 
-    /// Returns every key of the display's file as plain objects. Display() accepts the result.
+    /// Returns the content of the display's file as a dictionary, which Display() accepts.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &serde_json::to_value(&*self.0).expect("displays serialize"))
     }

@@ -50,6 +50,6 @@ fn launcher(py: Python<'_>) -> PyResult<Launcher> {
 /// Runs a plugin in this child process for its parent process; returns the exit code.
 #[pyfunction]
 pub(crate) fn _plugin_child(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
-    // the plugin runs in the main thread
+    // release Python's lock, since the plugin runs in this thread and calls no Python code
     py.detach(|| lumistack_cli::plugin_child(&arguments))
 }
