@@ -492,7 +492,7 @@ def fit_depth(scene, compress: bool) -> str:
     display = display_of(settings)
     range_mm = display.depth_of_field_mm()
     if range_mm is None:
-        raise JobError(f"{display.name}: the display cannot show its pixels sharply at any depth")
+        raise JobError(f"{display.name}: expected a display that is sharp at some depth, found none")
     now = depth.Fit(settings.moved_back_mm, settings.depth_scale)
     settings.moved_back_mm, settings.depth_scale = 0.0, 1.0
     fit = None

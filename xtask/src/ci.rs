@@ -44,7 +44,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     let version = output_of(command("rustc").arg("--version")).ok_or("rustc does not start")?;
     let strict = version.contains(&format!("rustc {LINTED_WITH}."));
     if !strict {
-        println!("lints: {} is not {LINTED_WITH}, so new lints only warn", version.trim());
+        println!("lints: expected rustc {LINTED_WITH}, found {}, so lints only warn", version.trim());
     }
     steps.step("format", || cargo(&["fmt", "--all", "--check"]))?;
     steps.step("layers", layers::check)?;

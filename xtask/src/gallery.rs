@@ -97,5 +97,9 @@ fn blender() -> Outcome<PathBuf> {
         println!("fetching: {}, in target/python-gallery (used only for the gallery)", BLENDER.join(", "));
         tools::install(&python, &[&["--no-cache-dir", "--only-binary=:all:"], &BLENDER[..]].concat())?;
     }
-    if there() { Ok(python) } else { Err(format!("{} cannot import bpy and numpy", python.display())) }
+    if there() {
+        Ok(python)
+    } else {
+        Err(format!("{}: expected the modules bpy and numpy, found at most one of them", python.display()))
+    }
 }

@@ -58,9 +58,9 @@ pub fn check() -> Outcome {
     let mut layers = HashMap::new();
     for package in packages {
         let name = package["name"].as_str().unwrap_or_default();
-        let layer = package["metadata"]["lumistack"]["layer"]
-            .as_u64()
-            .ok_or_else(|| format!("{name} has no layer: add [package.metadata.lumistack] layer = n"))?;
+        let layer = package["metadata"]["lumistack"]["layer"].as_u64().ok_or_else(|| {
+            format!("{name}: expected a layer, found none; add [package.metadata.lumistack] layer = n")
+        })?;
         layers.insert(name, layer);
     }
     let mut problems = Vec::new();
@@ -82,7 +82,10 @@ pub fn check() -> Outcome {
             }
             for (external, allowed) in FORBIDDEN {
                 if to == external && !allowed.contains(&name) {
-                    problems.push(format!("{name} depends on {external}, which only {} may", allowed.join(" and ")));
+                    problems.push(format!(
+                        "{name} depends on {external}: expected this dependency only in {}",
+                        allowed.join(" and ")
+                    ));
                 }
             }
         }

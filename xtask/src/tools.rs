@@ -115,7 +115,7 @@ fn account(list: &str, is_ci: bool) -> Outcome {
 /// If the packages cannot be installed.
 pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
     if output_of(command("apt-get").arg("--version")).is_none() {
-        return Err(format!("this machine has no apt-get to install {}", packages.join(", ")));
+        return Err(format!("expected apt-get to install {}, found none", packages.join(", ")));
     }
     println!("\nfetching: the Debian packages {} (used only to {purpose})", packages.join(", "));
     let apt = |arguments: &[&str]| {

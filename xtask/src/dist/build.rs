@@ -88,7 +88,7 @@ impl Target {
 fn host() -> Outcome<Target> {
     let said = output_of(command("rustc").arg("-vV")).ok_or("rustc does not start")?;
     let triple = said.lines().find_map(|line| line.strip_prefix("host: ")).unwrap_or_default();
-    Target::of(triple).ok_or_else(|| format!("{triple}: there are no releases for this machine"))
+    Target::of(triple).ok_or_else(|| format!("expected a machine with releases, found {triple}"))
 }
 
 /// Finds or makes a Python with the builders.

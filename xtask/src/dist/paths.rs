@@ -19,7 +19,7 @@ struct Folder {
 /// Returns the folders that contain sources. If a folder is within another folder, the outer folder
 /// is first, since the compiler uses the last flag that matches a path.
 fn folders() -> Outcome<Vec<Folder>> {
-    let home = std::env::home_dir().ok_or("this user has no home folder")?;
+    let home = std::env::home_dir().ok_or("expected a home folder of the user, found none")?;
     let cargo = std::env::var("CARGO_HOME").map_or_else(|_| home.join(".cargo"), Into::into);
     let sysroot = output_of(command("rustc").args(["--print", "sysroot"])).ok_or("rustc does not start")?;
     let mut folders = vec![
