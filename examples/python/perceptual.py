@@ -4,9 +4,9 @@
     python examples/python/perceptual.py runs/three-layer           # one display
     python examples/python/perceptual.py runs/figure-9              # all displays of a run, nodes/*
 
-The program compares the views that a display shows with the target's views. The first score treats views
-as still pictures; it is the mean over all views. The second score is for a viewer who walks past from left
-to right: the views of the middle row are the frames of a video. The unit of both scores is the JOD. A score of 10 means no visible
+The program compares the views that a display shows with the target's views, and prints two scores. The first
+treats views as still pictures, and is the mean over all views. The second is for a viewer who walks past from
+left to right: the views of the middle row are the frames of a video. The unit is the JOD. A score of 10 means no visible
 difference, and 75 of 100 people notice a difference of 1. See Mantiuk et al., ColorVideoVDP, SIGGRAPH 2024.
 """
 

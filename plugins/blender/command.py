@@ -37,8 +37,8 @@ def main(words: list[str]) -> int:
         for name, value in asked.scene_settings.items():
             setattr(scene, name, value)
         job = jobs.Job(scene, factorize=asked.what == "make")
-        # A command has no window, but exporters need one. `in_window` lends them one of the file's
-        # windows, which shows the scene that the command requests.
+        # A command has no window, but exporters need one. `in_window` gives the exporters one of
+        # the file's windows, which shows the scene that the command requests.
         with handover.in_window(bpy, scene):
             if asked.fit_depth:
                 print(jobs.fit_depth(scene, compress=asked.fit_depth == "compress"), flush=True)
@@ -48,7 +48,7 @@ def main(words: list[str]) -> int:
         print("stopped; finished parts are kept", file=sys.stderr)
         return 130
     except KeyError as error:
-        print(f"error: expected one of the scenes {', '.join(each.name for each in bpy.data.scenes)}, found {error}", file=sys.stderr)
+        print(f"error: --scene: expected one of the scenes {', '.join(each.name for each in bpy.data.scenes)}, found {error}", file=sys.stderr)
         return 1
     except (jobs.JobError, lumistack.Error, RuntimeError, TypeError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

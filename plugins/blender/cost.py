@@ -14,9 +14,10 @@ import lumistack
 from . import settings as settings_of
 
 #: Largest number of the score's directions per axis, and the fraction of the zone over which they
-#: reach. The first pair is for Blender's views. Views of our path tracer cost less.
+#: reach. The first pair is for Blender's views, the second for views of our path tracer, which cost
+#: less.
 SCORED = ((2, 0.7), (4, 1.0))
-#: Light fields larger than this are named with their size.
+#: The panel states the size of light fields that are larger than this.
 LARGE_MIB = 1024.0
 ENGINES = {"CYCLES": "Cycles", "BLENDER_EEVEE": "EEVEE", "BLENDER_EEVEE_NEXT": "EEVEE", "BLENDER_WORKBENCH": "Workbench"}
 
@@ -83,7 +84,8 @@ def frames(scene) -> int:
 
 
 def seconds(scene, display: lumistack.Display) -> float | None:
-    """Returns the time of all renders and patterns; None before it was measured."""
+    """Returns the time of all renders and patterns; None before the renders were measured. Patterns
+    and the path tracer's views for the score count only after they were measured."""
     from . import jobs
 
     settings = scene.lumistack
@@ -110,7 +112,7 @@ def lines(scene, display: lumistack.Display) -> list[str]:
     views, more = renders(scene, display)
     size = f"{view_columns} × {view_rows} views of {columns} × {rows} pixels"
     if settings.renderer == "LUMISTACK":
-        paths = "as many paths as needed" if settings_of.is_automatic(settings) else f"{settings_of.quality(settings)[2]} paths per pixel each"
+        paths = "an automatic number of paths" if settings_of.is_automatic(settings) else f"{settings_of.quality(settings)[2]} paths per pixel each"
         found = [f"{size}, {paths}"]
     else:
         engine = ENGINES.get(scene.render.engine, scene.render.engine.replace("_", " ").capitalize())

@@ -3,8 +3,8 @@
 digest is the same.
 
 Objects are read after Blender has evaluated modifiers, drivers and animation. Other data enter the
-digest with all their properties that are booleans, numbers, texts or enums. Pictures also enter it
-with the size and time of their files.
+digest with their properties that are booleans, numbers, texts or enums, except those in `_SKIP`.
+Pictures also enter it with the size and time of their files.
 """
 
 from __future__ import annotations

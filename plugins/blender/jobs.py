@@ -34,8 +34,8 @@ NEXT_ITERATIONS = 5
 NAMES = {"BLENDER": "Blender's views", "GLTF": "Lumistack's views of the glTF file", "USD": "Lumistack's views of the USD file"}
 #: Fraction of clipped values above which a warning is given.
 CLIPPED = 0.01
-#: Our path tracer clips the light of a view at this value, in units of the white of a linear view
-#: transform. Blender's view transforms show all brighter light as white.
+#: Stops above the white of a linear view transform at which our path tracer clips the light of a
+#: view. Blender's view transforms show all brighter light as white.
 BRIGHTEST_EV = 6.0
 #: Stage of our path tracer's progress that reports views of an earlier run.
 KEPT_STAGE = "kept views"
@@ -100,7 +100,7 @@ class Job:
 
     scene: object
     factorize: bool = True
-    #: True if only one view is rendered, to measure its time.
+    #: True if only a few or small views are rendered, to measure their time.
     probe: bool = False
     warnings: list[str] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
@@ -130,7 +130,7 @@ class Job:
         if is_temporary(scene):
             self.warn(
                 "folder",
-                f"this file is not saved, so the results are in {folder}, which Blender deletes when it ends. Save the file, or set Folder, and make the display again to keep them",
+                f"this file is not saved, so the results are in {folder}, which Blender deletes when it ends. To keep the results, save the file or set Folder, and make the display again",
             )
         if settings.times == "CURRENT":
             yield from self._time(folder, None, 0.0, 1.0)
@@ -205,7 +205,8 @@ class Job:
         return stack
 
     def _probe(self, folder: Path):
-        """Renders one view, or the views at a quarter of the resolution, to measure the time."""
+        """Renders at most two views by Blender, or all views at a quarter of the resolution by Lumistack's
+        path tracer, to measure the time."""
         settings = self.scene.lumistack
         display = display_of(settings)
         window = window_of(self.scene, display)
@@ -220,7 +221,7 @@ class Job:
     def _check_depth(self, display: lumistack.Display, window: cameras.Window) -> None:
         sentence = depth_sentence(self.scene, display, window)
         if sentence:
-            self.warn("depth", f"{sentence}. Fit Depth brings more of the scene into the sharp depths, if it can")
+            self.warn("depth", f"{sentence}. Fit Depth brings more of the scene into the sharp depths, if possible")
 
     def _views(self, _renderer, display, window, folder: Path, start: float, part: float, is_scored: bool):
         """Renders views by Blender's engine. Returns their light field, and with `is_scored` a list of
@@ -241,7 +242,8 @@ class Job:
         return lumistack.LightField(radiance, display=display), references
 
     def _rendered(self, scene_digest: str, display, window, slopes, folder: Path, start: float, part: float, title: str):
-        """Renders the views at the slopes (x, y). Returns their light; None for a probe."""
+        """Renders the views at the slopes (x, y). Returns their radiance, [view_y, view_x, row, column,
+        rgb]; None for a probe."""
         scene, settings = self.scene, self.scene.lumistack
         slope_x, slope_y = slopes
         _, _, rows, columns, _ = display.light_field_shape
@@ -284,8 +286,8 @@ class Job:
                     left = f", about {cost.duration(each_s * (len(missing) - number))} left" if number else ""
                     yield Render(scene, aim, lambda view=view: views.keep(view), f"{title} {done + 1} of {total}{left}", start + 0.9 * part * done / total)
                     self.rendered += 1
-                    # The first render also loads the scene's data, so it is the measure only as
-                    # long as it is the only one.
+                    # The first render also loads the scene's data, so its time counts only until a
+                    # second render is finished.
                     now = time.monotonic()
                     each_s = (now - second) / number if number else now - begin
                     second = second if number else now
@@ -305,7 +307,7 @@ class Job:
             return pictures.as_shown(path, self.scene)
         picture = pictures.load(path) * 2.0**settings.exposure_ev
         if (picture > 1.0).mean() > CLIPPED:
-            self.warn("look", "more than 1 % of the light is brighter than white and clipped: lower the exposure, or use the scene's look")
+            self.warn("look", "more than 1 % of the values are brighter than white and are clipped: lower the exposure, or set Look to As in Blender")
         return numpy.clip(picture, 0.0, 1.0)
 
     def _trace(self, renderer: str, display, window, folder: Path, start: float, part: float, is_scored: bool):
@@ -376,7 +378,7 @@ class Job:
         fields = result_of(work)
         found = [each.radiance for each in fields]
         for line in heard:
-            # `_check_depth` reports depth in the words of the panel.
+            # Skip warnings about depth, which `_check_depth` reports in the words of the panel.
             if not line.startswith("depth:"):
                 self.warn(scene.name, line)
         if is_shown:
@@ -421,8 +423,9 @@ def text_of(error: BaseException) -> str:
 
 
 def between_of(display: lumistack.Display, most: tuple[int, float]) -> tuple[list[float], list[float]]:
-    """Returns slopes (x, y) between the display's views; without any if it has a single view. `most`
-    is the largest number per axis, and the fraction of the zone over which they reach."""
+    """Returns slopes (x, y) between the display's views; empty lists if the display has a single
+    view. `most` is the largest number per axis, and the fraction of the zone over which the slopes
+    reach."""
     slope_x, slope_y = display.slopes
     if len(slope_x) * len(slope_y) == 1:
         return [], []
@@ -489,7 +492,7 @@ def fit_depth(scene, compress: bool) -> str:
     display = display_of(settings)
     range_mm = display.depth_of_field_mm()
     if range_mm is None:
-        raise JobError(f"{display.name}: the display cannot show its pixels sharply at any depth")
+        raise JobError(f"{display.name}: expected a display that is sharp at some depth, found none")
     now = depth.Fit(settings.moved_back_mm, settings.depth_scale)
     settings.moved_back_mm, settings.depth_scale = 0.0, 1.0
     fit = None
@@ -505,7 +508,7 @@ def fit_depth(scene, compress: bool) -> str:
     share = depth.outside([depth.shown_at(z, found, display.distance_mm) for z in depths], range_mm)
     rest = "all that is seen is sharp" if share == 0.0 else f"{max(100 * share, 1):.0f} % of what is seen stays blurred"
     if fit is None:
-        why = "" if share == 0.0 else ", and no other place or scale shows more sharply"
+        why = "" if share == 0.0 else ", and no other position or scale makes more of it sharp"
         return f"Nothing changed: {rest}{why}"
     return f"{depth.moved(found)}; {rest}"
 

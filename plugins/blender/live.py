@@ -7,7 +7,8 @@
 The session starts `lumistack live`, or attaches to one that runs.
 Handlers only record that the scene has changed. A timer exports the scene, since an export in a
 handler would call the handler again. Every export writes the whole scene. The next export waits
-until the last one is shown. A rest after every export limits exports to a third of Blender's time.
+until a state shows the last export, but at most `PATIENCE_S`. A rest after every export limits
+exports to a third of Blender's time.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ END_S = 10.0
 TONES = {"Standard": "linear", "Raw": "linear", "Khronos PBR Neutral": "khronos-neutral"}
 #: Settings whose change needs no new state of the display.
 _OTHER = {"rna_type", "name", "folder", "output", "renderer", "handover", "times", "iterations", "show_window", "show_depth", "show_cone", "show_picture", "live_run", "live_show", "is_used", "use_score"}
-#: These are computed from other settings.
+#: Add the settings that are computed from other settings.
 _OTHER |= {"window_width", "window_height"}
 
 
@@ -54,7 +55,8 @@ class Session:
         # Undo replaces the scene's Python object, but this number stays the same.
         self._uid = scene.session_uid
         self.title = scene.name
-        # A program to which the session attaches has another working folder.
+        # A program to which the session attaches may have another working folder, so the path is
+        # absolute.
         folder = jobs.output_folder(scene).absolute()
         self._scenes = Files(folder / "live-scene", "scene", ".glb")
         self._displays = Files(folder / "live-scene", "display", ".toml")
@@ -89,7 +91,8 @@ class Session:
             self.program = Live(words_of(scene, path, folder / "live"), operators.preview_environment())
         else:
             self.program = Attached(self.run)
-            # Clear the pose and the importer of the program's own scene: they do not fit this one.
+            # Clear the pose and the importer of the program's own scene, which do not fit this
+            # scene.
             self.program.change({"pose": None, "importer": None, **job}, time.monotonic())
 
     @property
@@ -97,7 +100,8 @@ class Session:
         return self.program.state
 
     def stop(self, reason: str = "") -> None:
-        """Requests the program's end. The timer continues to call `step` until the program ended."""
+        """Requests the end of the program, or of the connection to a program that the session did not
+        start. The timer continues to call `step` until this end."""
         self._asked, self.reason = True, reason
         self.program.stop()
 
@@ -207,8 +211,8 @@ class Session:
 
 
 def run_of(scene) -> Path | None:
-    """Returns the run folder of the program to which the scene's session attaches; None if it
-    starts one."""
+    """Returns the run folder of the program to which the scene's session attaches; None if the
+    session starts a program."""
     text = scene.lumistack.live_run.strip()
     return Path(bpy.path.abspath(text)) if text else None
 
@@ -238,13 +242,13 @@ def start(scene) -> None:
 
 
 def stop(reason: str = "") -> None:
-    """Requests the program's end; its run folder stays."""
+    """Requests the end of the session. The run folder stays."""
     if session is not None:
         session.stop(reason)
 
 
 def end_now() -> None:
-    """Ends the program and waits for its end."""
+    """Ends the session, and waits for the end of its program or connection."""
     global session
     if session is not None:
         session.program.end(END_S)
@@ -303,7 +307,7 @@ def status() -> list[tuple[str, str]]:
     if not state.states:
         lines = [("SORTTIME", f"{session.title}: waits for the first picture")]
     else:
-        after = "" if state.latency_s is None else f", the last change after {state.latency_s:.1f} s"
+        after = "" if state.latency_s is None else f", the last change was shown after {state.latency_s:.1f} s"
         where = "" if session.run is None else f" in {session.run}"
         lines = [("REC", f"{session.title} is live{where}{after}")]
     lines += [("ERROR", text) for text in (session.note, state.problem) if text]

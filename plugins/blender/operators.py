@@ -153,7 +153,8 @@ class LUMISTACK_OT_make(_Steps):
     bl_label = "Make Tensor Display"
 
     def _show(self, context):
-        # Straight ahead is one of the solver's views, so its picture is better than others.
+        # The picture from straight ahead is one of the solver's views, so it is better than in
+        # other directions.
         held = jobs.shown[context.scene.name]
         show_view(context.scene, held.beside)
         if any(held.beside):
@@ -329,7 +330,7 @@ class LUMISTACK_OT_preview(bpy.types.Operator):
     def execute(self, context):
         folder = finished_folder(context.scene)
         if folder is None:
-            self.report({"ERROR"}, f"{jobs.output_folder(context.scene)}: there are no patterns yet: make the tensor display first")
+            self.report({"ERROR"}, f"{jobs.output_folder(context.scene)}: expected patterns, found none; make the tensor display first")
             return {"CANCELLED"}
         end_previews()
         _previews.append(subprocess.Popen(preview_command(folder), env=preview_environment(), stdin=subprocess.DEVNULL))

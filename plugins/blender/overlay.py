@@ -225,8 +225,8 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
 
 
 def arrow_matrix(window: cameras.Window, moved_back_mm: float):
-    """Returns the matrix of the arrow. Its origin is the window's centre before it was moved along
-    its normal."""
+    """Returns the matrix of the arrow. The arrow's origin is the centre of the window before the
+    window was moved along its normal."""
     return _matrix(window, window.point((0.0, 0.0, moved_back_mm)))
 
 

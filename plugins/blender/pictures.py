@@ -52,7 +52,7 @@ def as_shown(picture: Path | numpy.ndarray, scene) -> numpy.ndarray:
         change(settings, "file_format", "PNG")
         change(settings, "color_mode", "RGB")
         change(settings, "color_depth", "16")
-        # The file is read at once, so compressing it would only take time.
+        # The file is read immediately, so compressing it would only take time.
         change(settings, "compression", 0)
         change(settings, "color_management", "FOLLOW_SCENE")
         if display.display_device != "sRGB":

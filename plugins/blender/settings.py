@@ -165,7 +165,7 @@ def _settings_class():
             name="Views",
             description="Number of views that are rendered, and for which the patterns are made",
             items=[
-                ("AUTO", "Automatic", "As many as the display needs so that its picture is also right between the views"),
+                ("AUTO", "Automatic", "Enough views for a picture that is also correct between the views"),
                 ("HALF", "Every Second", "Every second view of the automatic ones, on each axis: a quarter of the renders, and a blurred picture between the views"),
                 ("OWN", "Own Number", "The number below. Between few views the picture is blurred"),
             ],
@@ -197,14 +197,14 @@ def _settings_class():
         "samples": IntProperty(name="Paths", description="Paths per pixel and view of Lumistack's path tracer", default=16, min=1, max=65536),
         "window_from": EnumProperty(
             name="Window",
-            description="Position of the window; the window is as wide as the camera's picture at its distance",
+            description="Position of the window; the window is as wide as the camera's picture at this position",
             items=[
                 ("AUTO", "Automatic", "The camera's plane of focus or, if its depth of field is off, a distance that near content determines"),
                 ("DISTANCE", "Distance", "At a distance from the camera"),
             ],
             **draw,
         ),
-        "distance": FloatProperty(name="Distance", description="From the camera to the window", subtype="DISTANCE", default=10.0, min=1e-4, max=1e6, **draw),
+        "distance": FloatProperty(name="Distance", description="Distance from the camera to the window", subtype="DISTANCE", default=10.0, min=1e-4, max=1e6, **draw),
         "window_size": FloatProperty(
             name="Size",
             description="Width of the window, relative to the width of the camera's picture in the window's plane",
@@ -310,12 +310,13 @@ def is_automatic(settings) -> bool:
 
 
 def display_of(settings, is_live: bool = False) -> lumistack.Display:
-    """Returns the display with the changes of the settings. Raises the package's error if it is
-    invalid. A live display chooses its automatic views itself, so they stay automatic."""
+    """Returns the display with the changes of the settings. Raises the package's error if the display
+    is invalid. With `is_live`, Every Second has no effect, since `lumistack live` chooses the automatic
+    views."""
     if settings.display_from == "FILE":
         path = bpy.path.abspath(settings.file)
         if not os.path.isfile(path):
-            found = f"found none at {path}" if path else "none is set"
+            found = f"found none at {path}" if path else "found no path"
             raise ValueError(f"File: expected a display file (.toml), {found}; select one, or set Display to Preset")
         display = lumistack.Display(path)
     else:

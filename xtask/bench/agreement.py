@@ -133,8 +133,8 @@ def load(folder):
 
 
 def compare(ours, theirs):
-    """Compares two stacks of batches. Returns the ratio of their means, and the largest |t| of a pixel. It also returns
-    the probabilities p of the largest |t|, of the picture's mean and of the mean of t^2."""
+    """Compares two stacks of batches. Returns the relative difference of their means, and the largest |t| of all pixels and
+    channels. Also returns the probabilities p of the largest |t|, of the picture's mean and of the mean of t^2."""
     count = len(ours)
 
     def t_of(a, b):

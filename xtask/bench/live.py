@@ -72,7 +72,7 @@ class Watcher(threading.Thread):
             length = struct.unpack_from("<I", frame)[0]
             head = json.loads(frame[4 : 4 + length])
             if head["number"] <= number:
-                self.wrong.append(f"state {head['number']} after {number}")
+                self.wrong.append(f"expected a state after {number}, found state {head['number']}")
             number = head["number"]
             at = 4 + length
             for size in head["files"]:
@@ -80,7 +80,7 @@ class Watcher(threading.Thread):
                     self.wrong.append(f"state {number}: a pattern is damaged")
                 at += size
             if at != len(frame):
-                self.wrong.append(f"state {number}: {len(frame)} bytes instead of {at}")
+                self.wrong.append(f"state {number}: expected {at} bytes, found {len(frame)}")
             self.seen[number] = hashlib.sha256(frame[4 + length :]).hexdigest()
 
 
@@ -148,7 +148,7 @@ def main() -> None:
         if late > (1 + GROWTH) * early:
             wrong.append(f"memory grew by {late - early:.0f} MB")
         if frozen > FREEZE_S or code != 0:
-            wrong.append("after Ctrl-C, states came for too long or the program ended with an error")
+            wrong.append("after Ctrl-C: expected no late state and the exit code 0, found a late state or another code")
         if wrong:
             sys.exit("\n".join(wrong[:20]))
 

@@ -4,8 +4,8 @@
 // Prints when the poster is painted, when the user can look around ("interactive"), and when the
 // first picture of the patterns is shown. These times are measured from the start of the
 // navigation. "longest task" is the longest task of the page's main thread, until two seconds after
-// all files have arrived. Firefox reports no tasks, so the longest time between two animation
-// frames replaces it there. A median above its limit is an error. The time of a frame includes
+// all files have arrived. Firefox reports no tasks, so in Firefox it is the longest time between
+// two animation frames. A median above its limit is an error. The time of a frame includes
 // drawing and reading back the picture in the simulator's thread. In these browsers WebGL2 draws in
 // software. SHOTS gets screenshots of the first five seconds.
 import { mkdirSync } from "node:fs";

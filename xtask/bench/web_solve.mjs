@@ -19,8 +19,8 @@ const SETTINGS = "preset=paper-three-layer&cols=160&layers=3&frames=6";
 const SCORED = [5, 10, 20, 30];
 /**
  * Limits. `dropped` and `builtIn`: first picture of a dropped model and of a scene of the page, ms.
- * `rate`: animation frames per second. `behind` and `command`: largest distance from the final zone
- * score after 30 s, and from the command, dB.
+ * `rate`: animation frames per second. `behind`: largest difference of the zone score after 30 s
+ * from the final zone score, dB. `command`: largest difference of the PSNR from the command's, dB.
  */
 const LIMITS = { dropped: 3000, builtIn: 1000, rate: 30, behind: 1, command: 0.1 };
 let missed = 0;

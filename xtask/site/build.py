@@ -135,7 +135,7 @@ class Site:
         if place.is_dir():
             return None
         if not place.is_file() or not place.is_relative_to(ROOT):
-            self.problems.append(f"{path}: {target} leads nowhere")
+            self.problems.append(f"{path}: expected a link to an existing file, found {target}")
             return target
         copy = self.folder / full
         copy.parent.mkdir(parents=True, exist_ok=True)
@@ -176,7 +176,7 @@ class Site:
         shutil.copyfile(self.folder / "README.html", self.folder / "index.html")
         for path, full, anchor in self.wanted:
             if anchor not in self.anchors[full]:
-                self.problems.append(f"{path}: {full} has no heading #{anchor}")
+                self.problems.append(f"{path}: expected a heading of {full}, found #{anchor}")
 
 
 if __name__ == "__main__":

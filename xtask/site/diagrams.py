@@ -252,9 +252,9 @@ def live(path: Path) -> None:
 
 
 def gpu(path: Path) -> None:
-    """Bars of the table of speeds in docs/GPU.md."""
+    """Draws the speeds in the table of docs/GPU.md as bars."""
     rows = re.findall(r"^\|([^|]*)\| `(\w+)`[^|]*\| (\d+) \| (\d+) \|", (ROOT / "docs/GPU.md").read_text(), re.M)
-    assert len(rows) == 4, "docs/GPU.md: expected four rows of speeds"
+    assert len(rows) == 4, "docs/GPU.md: expected four rows of speeds, found another number"
     d = Drawing(760, 330, "Updates per second of a graphics processor and of a processor")
     most, left, top = max(float(row[2]) for row in rows), 170, 50
     d.text(left, 28, "updates per second", "bold", "start")
@@ -277,7 +277,7 @@ def gpu(path: Path) -> None:
 
 
 def zone(path: Path, runs: dict[str, tuple[list[tuple[float, float, float]], float, dict[str, Any]]]) -> None:
-    """The PSNR of seen pictures in the directions of the zone, as coloured discs over the views of the solver."""
+    """Draws the PSNR of seen pictures in the directions of the zone, as coloured discs over the views of the solver."""
     d = Drawing(760, 430, "PSNR of seen pictures over the viewing zone, with few views and with views at native slopes")
     values = [psnr for points, _, _ in runs.values() for _, _, psnr in points]
     low, high = math.floor(min(values)), math.ceil(max(values))

@@ -29,7 +29,7 @@ STYLE = """
 INTRO = """<style>{style}</style><h1>Displays</h1>
 <p>{count} displays, simulated: open one, and move the mouse or a finger to look around in it. Each comes with its scene and its job:
 <code>lumistack run job.toml</code> in its folder makes the same patterns. <a href="../solve/index.html">Make one from a model of your own</a>;
-it stays on your computer.</p><ul class="displays">{cards}</ul>
+the model stays on your computer.</p><ul class="displays">{cards}</ul>
 """
 CARD = """<li><a href="{name}/index.html"><img src="{name}/stack/poster.jpg" alt="" loading="lazy" width="400" height="250"></a>
 <h2><a href="{name}/index.html">{title}</a></h2><p>{caption}</p><p>{facts}</p>
@@ -65,7 +65,7 @@ def check(displays: list[dict[str, Any]]) -> None:
         if tomllib.loads(toml_of(job)) != job or not preset.is_file() or (ours and not scene.is_file()):
             sys.exit(f"displays.toml: {display['name']}: expected a preset, a scene and a job, found {display}")
     if len({display["name"] for display in displays}) != len(displays):
-        sys.exit("displays.toml: expected names that differ")
+        sys.exit("displays.toml: expected names that differ, found a name twice")
 
 
 def make(display: dict[str, Any], scene: Path, folder: Path, program: str) -> dict[str, Any]:
@@ -117,7 +117,7 @@ def main(displays: list[dict[str, Any]], program: str, work: Path, site: Path, f
     shutil.copyfile(ROOT / "web/dist/solve.html", site / "solve/index.html")
     for link in re.findall(r'(?:href|src)="([^"]+)"', page):
         if not re.match("[a-z]+:", link) and not (site / "displays" / link).resolve().exists():
-            sys.exit(f"gallery: {link} leads nowhere")
+            sys.exit(f"gallery: expected a link to an existing file, found {link}")
     size = sum(path.stat().st_size for path in site.rglob("*") if path.is_file())
     print(f"gallery: {len(cards)} displays; the site has {size / 1e6:.0f} MB")
 

@@ -191,7 +191,7 @@ def splats() -> None:
 
 
 def zone() -> None:
-    """The score of each direction of the zone, with five by five views and with the automatic number of views."""
+    """Draws the score of each direction of the zone, with five by five views and with the automatic number of views."""
     runs = {}
     for label, count in (("5 × 5 views", "5x5"), ("automatic views", "auto")):
         folder = WORK / f"zone-{count}"
@@ -217,7 +217,7 @@ def web_simulator() -> None:
 
 
 def python() -> None:
-    """The objects of the package as a notebook shows them."""
+    """Shows objects of the package as a notebook shows them."""
     code = """import lumistack
 display = lumistack.Display("paper-three-layer", resolution=(240, 150), views=(5, 5), frames=4)
 light_field = lumistack.render(SCENE, display, zone_samples=200)
@@ -241,7 +241,7 @@ def trimmed(picture: Image.Image) -> Image.Image:
 
 
 def older(name: str, node: str, layers: dict[int, str], frame: int = 0) -> None:
-    """Patterns of a node of scenes/sweeps/baselines.toml in one frame, and the picture that an eye sees."""
+    """Shows patterns of a node of scenes/sweeps/baselines.toml in one frame, and the picture that an eye sees."""
     folder = baselines() / node
     row = [(mask(folder, layer, frame), text) for layer, text in layers.items()]
     sheet(name, [[*row, (simulate(folder, "3.3,0"), "seen from 3.3° right")]], 860, nearest=True)
@@ -356,7 +356,7 @@ def obj() -> None:
 
 
 def panels() -> None:
-    """Three outputs of a session without hardware, with their layers, and with test patterns."""
+    """Shows three outputs of a session without hardware, with their layers and with test patterns."""
     outputs = [f"HEADLESS-{number}" for number in (1, 2, 3)]
     display = WORK / "three.toml"
     display.unlink(missing_ok=True)
@@ -396,7 +396,7 @@ def panels() -> None:
 
 
 def outputs() -> None:
-    """A mask, a quilt, a film and the page of two runs."""
+    """Shows a mask, a quilt and the page of one run, and a film of another run."""
     folder = run("still-life") / "outputs/tensor-display"
     [quilted] = (folder / "quilt").glob("*.png")
     page = screenshot(f"file://{folder}/web_simulator/preview.html", 900, 600)

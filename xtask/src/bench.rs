@@ -14,7 +14,7 @@ use crate::web;
 pub const USAGE: &str = "\
 cargo xtask bench [what]
 
-  (nothing)     `factorize --no-peers`, then `render`
+  (nothing)     `factorize --no-peers`, then `render --no-peers`
   factorize     the paper's main case, 840×525 pixels, 5×5 views, 3 layers, 6 frames: time per update of every
                 solver, time to the quality of 50 iterations of the paper's rule, and the fractions of the machine's
                 limits; compared with the same update in NumPy and PyTorch, run in turn on the same data (some minutes)
@@ -207,7 +207,8 @@ fn convergence(options: &[&str]) -> Option<Outcome> {
     Some(bench("lumistack-factorizer", "convergence", &passed))
 }
 
-/// Finds a Python with Mitsuba, or makes an environment with it.
+/// Returns the Python that LUMISTACK_BENCH_PYTHON names. Without this variable, returns the Python
+/// of an environment with Mitsuba, and makes the environment if it is missing.
 fn mitsuba() -> Outcome<PathBuf> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
     let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));
@@ -235,7 +236,7 @@ fn agreement(samples: &str) -> Outcome {
 }
 
 /// Returns a Python and a script for each library that is compared with the factorizer (NumPy,
-/// PyTorch), if it can be imported.
+/// PyTorch). Libraries that cannot be imported are left out.
 fn peers() -> Vec<[PathBuf; 2]> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
     let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));

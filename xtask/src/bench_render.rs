@@ -84,7 +84,8 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
 /// The third has the views of a quilt.
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
-/// Number of samples of the pictures with which the means of pictures are compared.
+/// Samples per pixel of the converged pictures, with whose means the means of the views are
+/// compared.
 const CONVERGED: &str = "4096";
 
 /// Renders light fields view by view, and with light that all views share. The scenes have diffuse
@@ -120,7 +121,7 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
         head("times less time");
         for scene in &scenes {
             for (number, field) in FIELDS.into_iter().enumerate() {
-                // with converged pictures of the first views, which have the most samples
+                // compare means only for the first light field, which has the most samples per view
                 let means = if number == 0 { &["--converged", CONVERGED][..] } else { &[] };
                 for more in [&[][..], &["--own-materials"], &["--copies", COPIES]] {
                     bench("lumistack-pathtracer", "render", &words_of(scene, field, &[more, means].concat()))?;

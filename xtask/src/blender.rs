@@ -113,7 +113,7 @@ pub fn some(names: &str, version: &str) -> Outcome {
     let python = environment(version)?;
     let zip = zip_of(machine()?);
     if !zip.is_file() {
-        return Err(format!("{}: missing: `cargo xtask blender` makes it", zip.display()));
+        return Err(format!("{}: expected the extension, found none; `cargo xtask blender` makes it", zip.display()));
     }
     cases(&python, &zip, version, names)
 }
@@ -132,7 +132,9 @@ fn environment(version: &str) -> Outcome<PathBuf> {
     let python = folder.join("bin/python");
     if !has(&python) {
         let base = tools::python_of(PYTHON).ok_or_else(|| {
-            format!("Blender's module bpy needs Python {PYTHON}, and neither python3 nor python{PYTHON} is one")
+            format!(
+                "expected Python {PYTHON}, which Blender's module bpy needs, as python3 or python{PYTHON}, found none"
+            )
         })?;
         println!(
             "\nfetching: bpy {version} and numpy, in {} (used only to test the Blender extension)",
@@ -217,7 +219,7 @@ fn machine() -> Outcome<&'static str> {
         .into_iter()
         .find(|platform| (platform.system, platform.machine) == (system, machine))
         .map(|platform| platform.name)
-        .ok_or_else(|| format!("{system} on {machine}: Blender has no such platform"))
+        .ok_or_else(|| format!("expected a platform of Blender, found {system} on {machine}"))
 }
 
 /// A platform: Blender's name for it, Rust's names for its system and machine, and the beginning
@@ -246,7 +248,9 @@ fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
         let name = name_of(wheel);
         let expected = format!("lumistack-{}-cp311-abi3-", env!("CARGO_PKG_VERSION"));
         let tag = name.strip_prefix(&expected).and_then(|rest| rest.strip_suffix(".whl"));
-        let tag = tag.ok_or_else(|| format!("{}: expected a wheel {expected}PLATFORM.whl", wheel.display()))?;
+        let tag = tag.ok_or_else(|| {
+            format!("{}: expected a wheel {expected}PLATFORM.whl, found another name", wheel.display())
+        })?;
         // a tag is for example manylinux_2_28_x86_64 or macosx_11_0_universal2
         let fits = |platform: &&Platform| {
             let [system, machine] = platform.tag;
@@ -256,12 +260,16 @@ fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
         let before = found.len();
         for platform in PLATFORMS.iter().filter(fits) {
             if found.contains(&platform.name) {
-                return Err(format!("{}: a second wheel for {}", wheel.display(), platform.name));
+                return Err(format!(
+                    "{}: expected one wheel per platform, found a second wheel for {}",
+                    wheel.display(),
+                    platform.name
+                ));
             }
             found.push(platform.name);
         }
         if found.len() == before {
-            return Err(format!("{}: {tag} is no platform of Blender", wheel.display()));
+            return Err(format!("{}: expected the tag of a platform of Blender, found {tag}", wheel.display()));
         }
     }
     Ok(found)
@@ -295,7 +303,7 @@ mod tests {
             ["macos-x64", "macos-arm64", "windows-arm64"]
         );
         for (tags, expected) in [
-            (vec!["win32"], "win32 is no platform"),
+            (vec!["win32"], "found win32"),
             (vec!["manylinux_2_28_x86_64", "linux_x86_64"], "a second wheel for linux-x64"),
             (vec!["macosx_11_0_arm64", "macosx_11_0_universal2"], "a second wheel for macos-arm64"),
         ] {

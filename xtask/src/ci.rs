@@ -20,8 +20,8 @@ use crate::web;
 use crate::words;
 use crate::workflows;
 
-/// The Rust version whose lints must pass. A newer compiler may have further lints that the code
-/// does not satisfy yet, so with a newer compiler lints only warn.
+/// The Rust version whose lints must pass. Another version may have lints that the code does not
+/// satisfy, so with another version lints only warn.
 const LINTED_WITH: &str = "1.95";
 
 /// The finished steps, with the seconds that each took.
@@ -44,7 +44,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     let version = output_of(command("rustc").arg("--version")).ok_or("rustc does not start")?;
     let strict = version.contains(&format!("rustc {LINTED_WITH}."));
     if !strict {
-        println!("lints: {} is not {LINTED_WITH}, so new lints only warn", version.trim());
+        println!("lints: expected rustc {LINTED_WITH}, found {}, so lints only warn", version.trim());
     }
     steps.step("format", || cargo(&["fmt", "--all", "--check"]))?;
     steps.step("layers", layers::check)?;
@@ -104,7 +104,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
         println!("\n{error}; the tests of the page run again, alone");
         steps.step("web, alone", web::check)?;
     }
-    // run this step alone, since it counts refreshes, and other steps would delay these
+    // run this step alone, since it counts refreshes, which other steps would delay
     steps.step("stalls", || panels::stalls(full))?;
     if full {
         steps.step("slow tests", || {
@@ -143,8 +143,8 @@ fn fetch() -> Outcome<PathBuf> {
     Ok(python)
 }
 
-/// Longest time that a program of `ci` may take. The slowest program, `cargo test`, takes half of
-/// this time.
+/// Longest time that a program of `ci` may take without `--full`. The slowest program, `cargo
+/// test`, takes half of this time.
 const LONGEST: Duration = Duration::from_mins(25);
 
 /// Runs all checks, and prints a table with the time of each step.
@@ -164,8 +164,8 @@ pub fn run_ci(full: bool) -> Outcome {
     Ok(())
 }
 
-/// Compiles the portable crates to wasm32 without threads, with WebAssembly's vectors, as the
-/// modules of the pages.
+/// Checks that the portable crates and the viewer's crate compile to wasm32, without threads and
+/// with WebAssembly's vectors, as in the modules of the pages.
 fn wasm() -> Outcome {
     if !tools::wasm_target() {
         tools::skipped("wasm32", "this machine cannot get the Rust target wasm32-unknown-unknown");
@@ -177,7 +177,7 @@ fn wasm() -> Outcome {
         arguments.extend(["--package", name]);
     }
     cargo(&arguments)?;
-    // only this crate has code that depends on vectors; it must compile without them too
+    // only `lumistack-simd` has code that depends on vectors; it must compile without vectors, too
     cargo(&[&check[..], &["--package", "lumistack-simd"]].concat())
 }
 

@@ -1,5 +1,5 @@
-//! The compiler of `cargo xtask ci`: while cargo builds everything, it checks each crate of the
-//! workspace with clippy and rustdoc.
+//! The compiler of `cargo xtask ci`: while cargo builds everything, this program checks each crate
+//! of the workspace with clippy and rustdoc.
 //!
 //! `cargo clippy` and `cargo doc` would compile every dependency a second time, without machine
 //! code. Clippy's driver is rustc with more lints, so one call lints and compiles a crate.
@@ -41,7 +41,7 @@ static CHOSEN: OnceLock<(PathBuf, bool)> = OnceLock::new();
 /// # Errors
 /// If the program cannot be copied.
 pub fn choose(folder: &Path, strict: bool) -> io::Result<()> {
-    // cargo replaces the program itself while it builds the workspace
+    // make a copy, since cargo replaces the original program while it builds the workspace
     let (copy, new) = (folder.join("compiler"), folder.join("compiler.new"));
     std::fs::create_dir_all(folder)?;
     std::fs::copy(std::env::current_exe()?, &new)?;

@@ -61,8 +61,8 @@ impl Copy {
         Ok(Self(place))
     }
 
-    /// Returns a copy that was made earlier, and runs `make` on a new one if there is none. A copy
-    /// that `make` leaves unfinished is not used.
+    /// Returns a copy that was made earlier. If there is none, makes a copy and runs `make` on it.
+    /// A copy that `make` leaves unfinished is not used.
     pub fn kept(name: &str, make: impl FnOnce(&Self) -> Outcome) -> Outcome<Self> {
         let place = folder().join(name);
         if !place.is_dir() {

@@ -80,8 +80,8 @@ fn folder() -> PathBuf {
     tools::root().join("target/dist")
 }
 
-/// Makes parts for some targets. If the files of these targets were downloaded into `dist`, their
-/// wheels are not built.
+/// Makes parts for some targets. With `downloaded`, no wheel is built: the zips for Blender contain
+/// the wheels that are in `target/dist` already.
 fn make(parts: &[&str], targets: Vec<Target>, downloaded: bool) -> Outcome {
     // Collect the files that the packages of all targets share, then make the parts. The extension
     // of Blender needs the wheels.

@@ -1,5 +1,5 @@
-//! Makes the gallery: a page with Lumistack's renders of glTF files next to Blender's, with the
-//! same camera and light.
+//! Makes the gallery: a page with Lumistack's renders of glTF and USD files next to Blender's, with
+//! the same camera and light.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ cargo xtask gallery [folder] [options]
   --size COLSxROWS default 420x262
   --samples N      paths per pixel; default 128
   --turn DEG       rotation of the viewer to the right
-  --threads N      of both renderers; default all
+  --threads N      number of threads of each renderer; default all
 
 The package bpy (Blender as a Python module, some 400 MB, for Python 3.11) is fetched into target/python-gallery at the first run; without it
 the page shows Lumistack's renders alone. LUMISTACK_BENCH_PYTHON names a Python that has it already.
@@ -97,5 +97,9 @@ fn blender() -> Outcome<PathBuf> {
         println!("fetching: {}, in target/python-gallery (used only for the gallery)", BLENDER.join(", "));
         tools::install(&python, &[&["--no-cache-dir", "--only-binary=:all:"], &BLENDER[..]].concat())?;
     }
-    if there() { Ok(python) } else { Err(format!("{} cannot import bpy and numpy", python.display())) }
+    if there() {
+        Ok(python)
+    } else {
+        Err(format!("{}: expected the modules bpy and numpy, found at most one of them", python.display()))
+    }
 }

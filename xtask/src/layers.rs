@@ -40,8 +40,8 @@ pub const PORTABLE: [&str; 11] = [
     "lumistack-web-solver",
 ];
 
-/// Crates to which development dependencies may add features, since no program uses what is added:
-/// the command calls `getrandom::fill` alone, and `proc-macro2` is a dependency of xtask.
+/// Crates to which development dependencies may add features, since no program uses these features:
+/// the command calls only `getrandom::fill`, and only xtask uses `proc-macro2`.
 const RICHER_IN_TESTS: [&str; 2] = ["getrandom", "proc-macro2"];
 
 /// Items of the standard library that portable crates must not use. Files and times are passed to
@@ -58,9 +58,9 @@ pub fn check() -> Outcome {
     let mut layers = HashMap::new();
     for package in packages {
         let name = package["name"].as_str().unwrap_or_default();
-        let layer = package["metadata"]["lumistack"]["layer"]
-            .as_u64()
-            .ok_or_else(|| format!("{name} has no layer: add [package.metadata.lumistack] layer = n"))?;
+        let layer = package["metadata"]["lumistack"]["layer"].as_u64().ok_or_else(|| {
+            format!("{name}: expected a layer, found none; add [package.metadata.lumistack] layer = n")
+        })?;
         layers.insert(name, layer);
     }
     let mut problems = Vec::new();
@@ -82,7 +82,10 @@ pub fn check() -> Outcome {
             }
             for (external, allowed) in FORBIDDEN {
                 if to == external && !allowed.contains(&name) {
-                    problems.push(format!("{name} depends on {external}, which only {} may", allowed.join(" and ")));
+                    problems.push(format!(
+                        "{name} depends on {external}: expected this dependency only in {}",
+                        allowed.join(" and ")
+                    ));
                 }
             }
         }
@@ -106,8 +109,9 @@ pub fn check() -> Outcome {
     let (in_programs, in_tests) = (features("normal,no-proc-macro")?, features("normal,dev,no-proc-macro")?);
     for known in in_programs.difference(&in_tests) {
         if !RICHER_IN_TESTS.iter().any(|name| known.split(' ').next() == Some(name)) {
-            problems
-                .push(format!("{known}: expected the same features in tests, found more of development dependencies"));
+            problems.push(format!(
+                "{known}: expected the same features in tests, found more, from development dependencies"
+            ));
         }
     }
     if problems.is_empty() {
@@ -121,12 +125,13 @@ pub fn check() -> Outcome {
     }
 }
 
-/// Returns the name, version and features of each crate that dependencies of these kinds use.
+/// Returns the name, version and features of each crate that the workspace uses through
+/// dependencies of these kinds.
 fn features(kinds: &str) -> Outcome<BTreeSet<String>> {
     let mut tree = command("cargo");
     tree.arg("tree").args(EVERYTHING).args(["--edges", kinds, "--prefix", "none", "--format", "{p} [{f}]"]);
     let tree = output_of(&mut tree).ok_or("cargo tree failed")?;
-    // cargo marks a crate whose dependencies it has printed before
+    // remove cargo's mark of a crate whose dependencies were printed before
     Ok(tree.lines().map(|line| line.trim_end_matches(" (*)").to_owned()).collect())
 }
 

@@ -71,7 +71,7 @@ impl Machine {
         let variable = |key: &str| format!("CARGO_TARGET_{}_{key}", self.target.to_uppercase().replace('-', "_"));
         let mut cargo = command("cargo");
         cargo.args(["test", "--target", self.target, "--package", package, "--lib"]).args(options);
-        // run one test at a time, since neither machine has threads
+        // run one test after another, since the WebAssembly machine has no threads
         cargo.args(["--", "--test-threads=1", "--nocapture", names]);
         cargo.env(variable("RUNNER"), &self.runner).env("RUSTFLAGS", self.flags);
         if let Some(linker) = self.linker {

@@ -47,7 +47,7 @@ pub fn check() -> Outcome {
         let name = package["name"].as_str().unwrap_or_default();
         for key in ["description", "license", "readme", "rust_version"] {
             if package[key].as_str().is_none_or(str::is_empty) {
-                problems.push(format!("{name} has no {key}"));
+                problems.push(format!("{name}: expected a value for {key}, found none"));
             }
         }
         let manifest = package["manifest_path"].as_str().unwrap_or_default();
@@ -88,8 +88,8 @@ pub fn install() -> Outcome {
             names.push(name);
         }
     }
-    // The packages require each other from a registry. There they are not yet, so the workspace
-    // replaces them by the unpacked packages.
+    // The packages require each other from a registry, which does not have them yet. So the
+    // workspace replaces them by the unpacked packages.
     let mut workspace =
         String::from("[workspace]\nresolver = \"3\"\nmembers = [\"lumistack-*\"]\n\n[patch.crates-io]\n");
     names.iter().for_each(|[name, version]| {
@@ -106,7 +106,10 @@ pub fn install() -> Outcome {
     for user in FOR_USERS {
         cargo(&["check", "--quiet", "--package", &format!("lumistack-{user}")])?;
     }
-    let cli = names.iter().find(|[name, _]| name == "lumistack-cli").ok_or("target/package has no lumistack-cli")?;
+    let cli = names
+        .iter()
+        .find(|[name, _]| name == "lumistack-cli")
+        .ok_or("target/package: expected lumistack-cli, found none")?;
     let installed = from.join("installed");
     let folder = format!("{}-{}", cli[0], cli[1]);
     cargo(&["install", "--quiet", "--force", "--path", &folder, "--root", &installed.to_string_lossy()])?;
@@ -130,7 +133,7 @@ fn words(package: &Value, name: &str, problems: &mut Vec<String>) {
     for key in ["keywords", "categories"] {
         let words: Vec<&str> = package[key].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
         if words.is_empty() || words.len() > MOST_WORDS {
-            problems.push(format!("{name} has {} {key}, expected 1 to {MOST_WORDS}", words.len()));
+            problems.push(format!("{name}: {key}: expected 1 to {MOST_WORDS}, found {}", words.len()));
         }
         let known = |word: &str| match key {
             "categories" => CATEGORIES.contains(&word),
@@ -162,17 +165,17 @@ fn front(package: &Value, name: &str, manifest: &Path, problems: &mut Vec<String
     }
     for part in ["\n```", "**Units and conventions:**", "\nLicence: MIT OR Apache-2.0."] {
         if !text.contains(part) {
-            problems.push(format!("{}: has no `{}`", path.display(), part.trim_start()));
+            problems.push(format!("{}: expected the text `{}`, found none", path.display(), part.trim_start()));
         }
     }
     if !package["metadata"]["docs"]["rs"]["targets"].is_array() {
-        problems.push(format!("{name}: expected `targets` in [package.metadata.docs.rs]"));
+        problems.push(format!("{name}: expected `targets` in [package.metadata.docs.rs], found none"));
     }
     // the example is tested with the crate's documentation; the command's example has its own test
     let code = manifest.with_file_name("src").join("lib.rs");
     let code = std::fs::read_to_string(&code).map_err(|error| format!("{}: {error}", code.display()))?;
     if text.contains("```rust") && !code.contains("doc = include_str!(\"../README.md\")") {
-        problems.push(format!("{name}: src/lib.rs does not test the example of README.md"));
+        problems.push(format!("{name}: src/lib.rs: expected a test of the example of README.md, found none"));
     }
     Ok(())
 }
@@ -192,7 +195,11 @@ fn outside(folder: &Path, depth: usize, problems: &mut Vec<String>) -> Outcome {
             let above = format!("\"{}", "../".repeat(depth + 1));
             let lines = code.lines().enumerate().filter(|(_, line)| line.contains("include_") && line.contains(&above));
             problems.extend(lines.map(|(number, _)| {
-                format!("{}:{}: includes a file from outside the crate", path.display(), number + 1)
+                format!(
+                    "{}:{}: expected an included file inside the crate, found one outside",
+                    path.display(),
+                    number + 1
+                )
             }));
         }
     }

@@ -1,6 +1,6 @@
 //! Builds the windows of `lumistack show`, and tests them on real compositors without hardware.
-//! Only builds with the crate's feature `window` contain the windows, since winit and wgpu compile
-//! slowly.
+//! Only builds with the feature `window` of the crate `lumistack-plugin-panels` contain the
+//! windows, since winit and wgpu compile slowly.
 
 use crate::tools::{EVERYTHING, Outcome, apt, build_everything, command, run, skipped};
 

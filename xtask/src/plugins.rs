@@ -131,12 +131,18 @@ fn pages(lumistack: &Path, write: bool) -> Outcome {
                 .map_err(|error| format!("{}: {error}", path.display()))?;
             fs::write(&path, wanted).map_err(|error| format!("{}: {error}", path.display()))?;
         } else if fs::read_to_string(&path).unwrap_or_default().replace("\r\n", "\n") != *wanted {
-            return Err(format!("{} differs from the plugins: `cargo xtask plugins --write`", file.display()));
+            return Err(format!(
+                "{}: expected the text of the plugins, found another; `cargo xtask plugins --write` writes it",
+                file.display()
+            ));
         }
     }
     for path in &stale {
         if !write {
-            return Err(format!("{} belongs to no plugin: `cargo xtask plugins --write`", path.display()));
+            return Err(format!(
+                "{}: expected the page of a plugin, found a page of none; `cargo xtask plugins --write` removes it",
+                path.display()
+            ));
         }
         fs::remove_file(path).map_err(|error| format!("{}: {error}", path.display()))?;
     }

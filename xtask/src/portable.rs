@@ -1,6 +1,6 @@
-//! Checks the command and the Python module for Windows and macOS. On every machine it checks their
-//! types for these systems. On Windows or macOS itself it can also run the tests that need no other
-//! program. On Linux it can run the tests for Windows in Wine.
+//! Checks the command and the Python module for Windows and macOS. Every machine can check their
+//! types for these systems. Windows and macOS can also run the tests that need no other program.
+//! Linux can run tests for Windows in Wine.
 
 use std::process::Stdio;
 
@@ -32,8 +32,8 @@ const TESTED: [&str; 15] = [
     "lumistack-cli",
 ];
 
-/// Programs of tests that run in Wine, in addition to the tests in the sources of [`TESTED`], and
-/// the names of their tests that make sense there.
+/// Programs of tests that run in Wine, in addition to the tests in the sources of [`TESTED`]. Each
+/// has the names of its tests that make sense there; an empty list stands for all tests.
 const IN_WINE: [(&str, &[&str]); 4] = [
     ("field_io", &[]),
     ("streaming", &[]),
@@ -119,7 +119,7 @@ pub fn wine() -> Outcome {
     wine::run_all(&programs)
 }
 
-/// Returns the test program that a message of cargo names, if it is one.
+/// Returns the test program that a message of cargo names; `None` if the message names none.
 fn program(message: &Value) -> Option<Program> {
     let file = message["executable"].as_str().filter(|_| message["profile"]["test"] == true)?;
     let manifest = message["manifest_path"].as_str()?;

@@ -262,7 +262,7 @@ fn raw_string(text: &str) -> Option<usize> {
 }
 
 /// Returns the length of Rust's character literal at the start of `text`. If `text` begins with a
-/// lifetime instead, it returns 1, the length of the quote.
+/// lifetime instead, the function returns 1, the length of the quote.
 fn character(text: &str) -> usize {
     let mut letters = text.char_indices().skip(1);
     match (letters.next(), letters.next()) {

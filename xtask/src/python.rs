@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::pythons::{self, OLDEST, Versions};
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
-/// Packages for pip that build and check the package.
+/// Packages for pip with which this file builds and checks the Python package.
 const TOOLS: [&str; 10] = [
     "--only-binary=:all:",
     "maturin==1.16.*",
@@ -48,7 +48,7 @@ pub fn check(versions: Versions) -> Outcome {
 /// If this machine's Python is too old, or the tools cannot be installed.
 pub fn fetch(python: &Path) -> Outcome {
     if !is_new_enough(python) {
-        return Err(format!("the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1));
+        return Err(format!("expected Python {}.{} or newer, found an older version", OLDEST.0, OLDEST.1));
     }
     let needed = [
         ("maturin, pytest, mypy, distributed, openjd.cli, outline, jsonschema, s3fs, moto", &TOOLS[..]),

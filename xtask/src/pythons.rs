@@ -85,8 +85,8 @@ impl Version {
 
 fn oldest() -> Outcome<PathBuf> {
     let version = format!("{}.{}", OLDEST.0, OLDEST.1);
-    let python =
-        tools::python_of(&version).ok_or_else(|| format!("neither python3 nor python{version} is {version}"))?;
+    let python = tools::python_of(&version)
+        .ok_or_else(|| format!("expected Python {version} as python3 or python{version}, found none"))?;
     Ok(python.into())
 }
 
@@ -102,7 +102,7 @@ fn newest() -> Outcome<PathBuf> {
     if output_of(command("mmdebstrap").arg("--version")).is_none() {
         tools::apt(&["mmdebstrap"], "unpack the newest Python")?;
     }
-    // Unpack the packages with the settings with which this machine's apt fetches packages.
+    // Unpack the packages. They are fetched with the settings of this machine's apt.
     let settings = output_of(command("apt-config").arg("dump")).ok_or("apt-config does not start")?;
     let settings: Vec<&str> = settings.lines().filter(|line| line.starts_with("Acquire::")).collect();
     let file = folder.with_extension("conf");
@@ -124,7 +124,7 @@ fn newest() -> Outcome<PathBuf> {
     let is_loader =
         |path: &PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("ld-linux"));
     let loader = entries.flatten().map(|entry| entry.path()).find(is_loader);
-    let loader = loader.ok_or_else(|| format!("{} has no dynamic loader", libraries.display()))?;
+    let loader = loader.ok_or_else(|| format!("{}: expected a dynamic loader, found none", libraries.display()))?;
     let script = format!(
         "#!/bin/sh\nexec '{}' --library-path '{}' --argv0 \"$0\" '{}' \"$@\"\n",
         loader.display(),

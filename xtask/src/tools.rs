@@ -115,7 +115,7 @@ fn account(list: &str, is_ci: bool) -> Outcome {
 /// If the packages cannot be installed.
 pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
     if output_of(command("apt-get").arg("--version")).is_none() {
-        return Err(format!("this machine has no apt-get to install {}", packages.join(", ")));
+        return Err(format!("expected apt-get to install {}, found none", packages.join(", ")));
     }
     println!("\nfetching: the Debian packages {} (used only to {purpose})", packages.join(", "));
     let apt = |arguments: &[&str]| {
@@ -173,7 +173,7 @@ pub fn limit(longest: Duration) {
     let _ = LIMIT.set(longest);
 }
 
-/// Calls `finish`, which waits for the program, and kills the program at the limit.
+/// Calls `finish`, which waits for the program. Kills the program at the limit.
 fn within_limit<T>(child: Child, name: &str, finish: impl FnOnce(Child) -> std::io::Result<T>) -> std::io::Result<T> {
     match LIMIT.get() {
         Some(longest) => within(*longest, child, name, finish),
@@ -191,7 +191,10 @@ fn within<T>(
     std::thread::scope(|scope| {
         scope.spawn(move || {
             if has_ended.recv_timeout(longest) == Err(RecvTimeoutError::Timeout) {
-                println!("\n`{name}` has run for {} s, which is too long; it is killed:", longest.as_secs());
+                println!(
+                    "\n`{name}` has run for {} s, which is too long; these processes are killed:",
+                    longest.as_secs()
+                );
                 kill_tree(id);
             }
         });
@@ -201,7 +204,7 @@ fn within<T>(
     })
 }
 
-/// Prints and kills a process and all processes that it started. Only Linux lists the latter.
+/// Prints and kills a process, and on Linux also all processes that it started.
 fn kill_tree(root: u32) {
     // /proc/ID/stat: id, name in parentheses, state, parent's id, …
     let mut children: HashMap<u32, Vec<u32>> = HashMap::new();

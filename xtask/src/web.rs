@@ -326,7 +326,7 @@ fn chromium() -> Outcome<PathBuf> {
     found().ok_or_else(|| {
         let error = install.err().unwrap_or_default();
         format!(
-            "web: found no browser for the test of the page. Install Chromium, or set LUMISTACK_CHROMIUM to the path of a Chromium program. {error}"
+            "web: expected Chromium for the test of the page, found none. Install Chromium, or set LUMISTACK_CHROMIUM to the path of a Chromium program. {error}"
         )
     })
 }
@@ -357,14 +357,18 @@ fn measure() -> Outcome {
             let said = output_of(command("node").args(["-e", script]).arg(&path));
             let sizes =
                 said.map(|text| text.split_whitespace().filter_map(|word| word.parse().ok()).collect::<Vec<usize>>());
-            let sizes =
-                sizes.filter(|sizes| sizes.len() == 3).ok_or_else(|| format!("{}: not measured", path.display()))?;
+            let sizes = sizes
+                .filter(|sizes| sizes.len() == 3)
+                .ok_or_else(|| format!("{}: expected three sizes from Node.js, found none", path.display()))?;
             println!("{name:>28} {:8} bytes, gzip {:7}, brotli {:7}", sizes[0], sizes[1], sizes[2]);
             (0..3).for_each(|i| total[i] += sizes[i]);
         }
         println!("{part:>28} {:8} bytes, gzip {:7}, brotli {:7} of {budget}", total[0], total[1], total[2]);
         if total[2] > budget {
-            return Err(format!("web: the {part} has {} bytes compressed, more than {budget}", total[2]));
+            return Err(format!(
+                "web: {part}: expected at most {budget} bytes, compressed with Brotli, found {}",
+                total[2]
+            ));
         }
     }
     Ok(())
@@ -379,7 +383,7 @@ fn module_hash() -> Outcome<String> {
     }
     let mut hash = hash_of(files)?;
     let manifest = fs::read_to_string(root().join("Cargo.toml")).map_err(|error| format!("Cargo.toml: {error}"))?;
-    let profile = manifest.find("[profile.web]").ok_or("Cargo.toml has no [profile.web]")?;
+    let profile = manifest.find("[profile.web]").ok_or("Cargo.toml: expected [profile.web], found none")?;
     hash.update(&manifest.as_bytes()[profile..]);
     // hash names, versions and checksums of dependencies, as cargo prints them
     let mut crates = Vec::new();

@@ -280,7 +280,7 @@ impl Array {
     /// Returns a NumPy array that uses the same memory.
     pub(crate) fn numpy(py: Python<'_>, part: Part) -> PyResult<Bound<'_, PyAny>> {
         let numpy = py.import("numpy").map_err(|error| {
-            let message = "results are NumPy arrays, and NumPy is missing: `pip install numpy`";
+            let message = "expected NumPy, since results are NumPy arrays, found none; `pip install numpy` installs it";
             let new = PyImportError::new_err(message);
             new.set_cause(py, Some(error));
             new

@@ -21,9 +21,9 @@ use crate::json::{map_of, parsed, table, to_python};
 /// * `what`: name of a preset (displays() lists them), path of a display file (.toml), a mapping
 ///   with the keys of such a file, or another Display; by default "paper-three-layer"
 /// * resolution: (columns, rows) of the light field; the layers' resolutions change by the same
-///   factor, and sizes in millimetres stay
-/// * views: (horizontal, vertical) number of views; "auto": so many that the display is also right
-///   in directions between the views; {"step": (x, y)}: views at multiples of these slopes
+///   factor, and sizes in millimetres stay the same
+/// * views: (horizontal, vertical) number of views; "auto": enough views for a display that is also
+///   correct in directions between them; {"step": (x, y)}: views at multiples of these slopes
 /// * fov_deg: (horizontal, vertical) field of view, full angles in degrees, 0 to less than 180
 /// * frames: time-multiplexed frames M, 1 to 1000
 /// * brightness: brightness scale β, above 0 and at most 1: the display emits β times the target
@@ -154,7 +154,7 @@ impl Display {
         adapted(py, &self.0, &light_field.field).map(Self)
     }
 
-    /// Returns every key of the display's file as plain objects. Display() accepts the result.
+    /// Returns the content of the display's file as a dictionary, which Display() accepts.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &serde_json::to_value(&*self.0).expect("displays serialize"))
     }

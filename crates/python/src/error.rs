@@ -65,7 +65,8 @@ const ARGUMENTS: [&str; 30] = [
     "zone_samples",
 ];
 
-/// Returns the error of a call without a job: its place is the function, and its key the argument.
+/// Converts an error about a value of a job: its place becomes the function `call`, and its key the
+/// argument. Other errors stay unchanged.
 pub(crate) fn of_call(call: &str, error: PipelineError) -> PipelineError {
     match error {
         PipelineError::Value(bad) if bad.place == Place::Job => {

@@ -37,9 +37,9 @@ use serde_json::{Map, Value};
 #[pyclass(frozen, module = "lumistack")]
 pub(crate) struct LightField {
     pub(crate) field: Arc<Field>,
-    /// The display for which the light field was rendered.
+    /// The display for which the light field was made.
     pub(crate) display: Option<Arc<Description>>,
-    /// Settings with which the light field was rendered.
+    /// Settings with which the light field was rendered, or the notes of its folder.
     pub(crate) info: Map<String, Value>,
     /// Reference pictures from directions all over the viewing zone, if they were rendered.
     pub(crate) references: Option<Arc<References>>,

@@ -38,7 +38,7 @@ impl LightField {
         distance_mm: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         if !rest.is_empty() {
-            let message = "LightField: expected one argument without a name, radiance, found more; write display=, pitch_mm= and so on before the others";
+            let message = "LightField: expected one argument without a name, radiance, found more; pass the others by name, such as display= or pitch_mm=";
             return Err(PyTypeError::new_err(message));
         }
         // Read the values, and check their shape.
@@ -413,7 +413,10 @@ pub(crate) fn as_array<'py>(
         None => false,
     };
     if is_other && copy == Some(false) {
-        return Err(setting(py, "a light field of another dtype needs a copy, and `copy=False` forbids it"));
+        return Err(setting(
+            py,
+            "__array__: expected the dtype of the values with `copy=False`, found another dtype, which needs a copy",
+        ));
     }
     match dtype {
         Some(dtype) if is_other => array.call_method1("astype", (dtype,)),

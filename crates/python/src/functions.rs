@@ -35,11 +35,11 @@ use crate::work::{command, long};
 /// keys (docs/JOB.md); defaults() returns the defaults:
 ///
 /// * samples: paths per pixel of each view, 1 to 65536
-/// * zone_samples: instead of samples, paths per pixel, summed over all views; "auto": so many that
-///   more paths would hardly improve the display's picture
+/// * zone_samples: instead of samples, paths per pixel, summed over all views; "auto" chooses the
+///   number such that more paths would hardly improve the display's picture
 /// * max_bounces: largest number of bounces (scattering events) of a path, the bounce at the first
 ///   hit included, 0 to 1024
-/// * clamp: largest value of a single path; brighter paths are dimmed to it
+/// * clamp: largest value of a single path; brighter paths are dimmed to this value
 /// * denoise: "auto", "off", "shared", "guided" or "oidn"
 /// * angular_filter: "point", "bin" or "display"
 /// * lens_deg: aperture of a lens that is focused on the display plane, as the full angle seen from
@@ -423,8 +423,8 @@ pub(crate) fn report<'py>(
 /// call continues a run that was stopped.
 ///
 /// job: path of a job file, or a mapping with its keys (docs/JOB.md). Paths in a mapping are
-/// relative to the working folder. folder: the run's folder, by default runs/NAME. Returns the
-/// summary: report, psnr_view, psnr_raw, and so on.
+/// relative to the working folder. folder: the run's folder; by default its path is runs/ and the
+/// job's name. Returns the summary: report, psnr_view, psnr_raw, and so on.
 #[pyfunction]
 #[pyo3(signature = (job, folder=None, *, callback=None))]
 pub(crate) fn run<'py>(
@@ -536,7 +536,7 @@ fn not_finite(field: &Field) -> Option<String> {
 /// Returns the warning that a light field without a display gets the default display.
 fn default_warning(display: &Description) -> String {
     format!(
-        "the light field has no display, so the default is used, {} with {} frames. Remedy: write display=, here or at LightField(...)",
+        "the light field has no display, so the default is used, {} with {} frames. Remedy: pass display=, in this call or to LightField(...)",
         display.name, display.frames
     )
 }

@@ -30,7 +30,7 @@ pub(crate) fn table_of<T: DeserializeOwned>(place: &str, mapping: &Bound<'_, PyA
     parsed(mapping.py(), place, map_of(place, mapping)?)
 }
 
-/// Reads a list of numbers from a sequence or a NumPy array.
+/// Reads a number, or a list of numbers from a sequence or a NumPy array.
 pub(crate) fn numbers<T: DeserializeOwned>(place: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<T>> {
     let Some(value) = value.filter(|value| !value.is_none()) else { return Ok(None) };
     let json = value_of(place, value)?;
@@ -55,7 +55,7 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
         let found = serde_json::from_value::<T>(Value::Object(Map::from_iter([(key.clone(), value)]))).err()?;
         (found.to_string() == error && !error.contains(&format!("`{key}`"))).then_some(key)
     };
-    // A key that the table lacks gives the same error in the empty table, and belongs to no key.
+    // An error about a missing key also occurs for the empty table, and no given key causes it.
     let empty = serde_json::from_value::<T>(Value::Object(Map::new())).err();
     let is_lack = empty.is_some_and(|empty| empty.to_string() == error);
     let key = if is_lack { None } else { map.clone().into_iter().find_map(alone) }.unwrap_or_default();
@@ -71,7 +71,7 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
 /// Translates serde's sentence about a wrong value into terms of Python. `fits` returns true for
 /// values that the key accepts.
 fn sentence(error: &str, key: &str, value: &Value, fits: impl Fn(Value) -> bool) -> String {
-    // A list is too long: find the accepted length.
+    // If a list is too long, find the accepted length.
     if let (true, Value::Array(items)) = (error.contains("expected fewer elements"), value)
         && let Some(count) = (0..items.len()).rev().find(|count| fits(Value::Array(items[..*count].to_vec())))
     {

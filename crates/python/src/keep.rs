@@ -56,7 +56,9 @@ pub(crate) fn _light_field_with(light_field: &LightField, kept: &Bound<'_, PyDic
     let mut field = light_field.field.clone();
     if let Some(depth) = item("depth")? {
         let (shape, z_mm) = Values::read(&depth, "depth")?.into_parts();
-        let [rows, cols] = shape[..] else { return Err(damaged(py, "depth: expected two axes")) };
+        let [rows, cols] = shape[..] else {
+            return Err(damaged(py, "depth: expected two axes, found another number of axes"));
+        };
         let z_mm = z_mm.into_iter().map(|z| (!z.is_nan()).then_some(z)).collect();
         let depth = SeenDepth { rows, cols, z_mm };
         field = Arc::new((*field).clone().with_depth(Some(depth)));
@@ -70,7 +72,10 @@ fn references_of(kept: &Bound<'_, PyAny>, geometry: &FieldGeometry) -> PyResult<
     let picture = |object: &Bound<'_, PyAny>| {
         let (shape, picture) = Values::read(object, "references")?.into_parts();
         if shape != [geometry.rows, geometry.cols, 3] {
-            return Err(damaged(kept.py(), "references: expected pictures with the pixels of the views"));
+            return Err(damaged(
+                kept.py(),
+                "references: expected pictures [row, col, rgb] with as many pixels as a view, found another shape",
+            ));
         }
         Ok(Arc::new(picture))
     };

@@ -40,7 +40,9 @@ fn launcher(py: Python<'_>) -> PyResult<Launcher> {
     let package: PathBuf = py.import("lumistack")?.getattr("__path__")?.get_item(0)?.extract()?;
     let folder = package.parent().unwrap_or(&package).as_os_str().to_owned();
     if program.as_os_str().is_empty() {
-        return Err(pyo3::exceptions::PyRuntimeError::new_err("Python does not know its own program"));
+        return Err(pyo3::exceptions::PyRuntimeError::new_err(
+            "sys.executable: expected the path of the interpreter, found none",
+        ));
     }
     Ok(Launcher { program, args: vec!["-c".into(), BOOT.into(), folder] })
 }
@@ -48,6 +50,6 @@ fn launcher(py: Python<'_>) -> PyResult<Launcher> {
 /// Runs a plugin in this child process for its parent process; returns the exit code.
 #[pyfunction]
 pub(crate) fn _plugin_child(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
-    // the plugin runs in the main thread
+    // release Python's lock, since the plugin runs in this thread and calls no Python code
     py.detach(|| lumistack_cli::plugin_child(&arguments))
 }

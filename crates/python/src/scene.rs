@@ -48,8 +48,8 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    /// Reads a file or a stage. USD is read in this process if this Python has OpenUSD, otherwise
-    /// by another Python, as in the command.
+    /// Reads a file or a stage. USD is read in this process if this Python has OpenUSD and the
+    /// caller names no importer. Otherwise another Python reads it, as in the command.
     pub(crate) fn load(
         py: Python<'_>,
         source: &Bound<'_, PyAny>,
@@ -141,8 +141,8 @@ impl Scene {
         Self::load(py, path, pose, light, importer, callback)
     }
 
-    /// Makes a scene of Gaussian splats from arrays: one mapping, or a sequence of mappings, as
-    /// `splats` returns them.
+    /// Makes a scene of Gaussian splats from arrays: one mapping, or a sequence of mappings, as the
+    /// property `splats` returns them. A mapping has these keys:
     ///
     /// * positions [splat, xyz], in a scene with y up
     /// * rotations [splat, xyzw], quaternions that rotate a splat's own axes; without them no
@@ -152,9 +152,9 @@ impl Scene {
     /// * harmonics [splat, coefficient, rgb], 1, 4, 9 or 16 coefficients by degree and then order;
     ///   a colour is ½ plus the sum of all coefficients times their spherical harmonics
     /// * encoding, "srgb" (the default, as captures are trained) or "linear"
-    /// * scene_from_cloud [4, 4], a matrix of column vectors that places the cloud
+    /// * scene_from_cloud [4, 4], the matrix that places the cloud; it multiplies column vectors
     ///
-    /// light: as for a file; name: name of the scene in messages.
+    /// light: a mapping with the keys of a job's [light]; name: name of the scene in messages.
     ///
     /// >>> import numpy as np
     /// >>> red = [[[1.77, -1.77, -1.77]]]
@@ -223,8 +223,8 @@ impl Scene {
         self.animations.clone()
     }
 
-    /// Time at which the last animation ends, or the duration of the USD stage, seconds; None
-    /// without animations.
+    /// Time at which the last animation ends, or the duration of the USD stage or of the Blender
+    /// scene, seconds; None without animations.
     #[getter]
     fn duration(&self) -> Option<f64> {
         self.duration

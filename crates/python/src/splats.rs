@@ -62,7 +62,7 @@ fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud
     for key in one.call_method0("keys")?.try_iter()? {
         let key: String = key?.extract()?;
         if !KEYS.contains(&key.as_str()) {
-            let message = format!("{place}: expected the keys {}, found {key}", KEYS.join(", "));
+            let message = format!("{place}: expected only the keys {}, found {key}", KEYS.join(", "));
             return Err(setting(py, message));
         }
     }
@@ -94,7 +94,7 @@ fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud
     let degree = shape.get(1).and_then(|values| (0..=3).find(|degree: &usize| (degree + 1).pow(2) == *values));
     let Some(degree) = degree else {
         let message = format!(
-            "{place}[\"harmonics\"]: expected an array [splat, 1, 4, 9 or 16 coefficients, rgb], found shape {shape:?}"
+            "{place}[\"harmonics\"]: expected an array [splat, coefficient, rgb] with 1, 4, 9 or 16 coefficients, found shape {shape:?}"
         );
         return Err(setting(py, message));
     };

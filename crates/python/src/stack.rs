@@ -32,7 +32,7 @@ const SAME_SLOPE: f64 = 1e-6;
 /// * emission: for a directional backlight [frame, bin_y, bin_x, lenslet_row, lenslet_col, rgb]
 /// * brightness: β of the patterns, above 0 and at most 1; by default the display's
 ///
-/// Arrays are read as by LightField.
+/// Arrays may have the same types and layouts as for LightField.
 ///
 /// >>> display = Display("fig7-uniform", resolution=(8, 8), frames=1)
 ///
@@ -86,7 +86,8 @@ impl LayerStack {
         Ok(Self { stack: Arc::new(stack), display, solved: None })
     }
 
-    /// Reads patterns from a run's folder, or from a `layers` folder for the given display.
+    /// Reads patterns from a run's folder. With `display`, the folder may also be a folder `layers`
+    /// alone, which does not contain its display.
     #[classmethod]
     #[pyo3(signature = (folder, *, display=None))]
     fn open(
@@ -154,8 +155,8 @@ impl LayerStack {
         self.stack.brightness
     }
 
-    /// For factorized patterns: a list of (number of iterations, Σ w (βL − L̃)², PSNR in dB), from
-    /// 0 iterations on. For all other patterns the list is empty.
+    /// For factorized patterns: a list of (number of iterations, Σ w (βL − L̃)², PSNR in dB). The
+    /// first entry is for 0 iterations. For all other patterns the list is empty.
     #[getter]
     fn history(&self) -> Vec<(u32, f64, f64)> {
         let steps = self.solved.iter().flat_map(|solved| &solved.steps);
@@ -163,8 +164,9 @@ impl LayerStack {
     }
 
     /// For factorized patterns: a dictionary with the solver, start and coarse_levels that were
-    /// used, and `kkt_residual` (rms). For layers with few bits it also has the PSNRs of
-    /// continuous, rounded and re-optimized masks. For all other patterns None.
+    /// used, and with kkt_residual (rms) and levels. For layers with few bits, levels contains the
+    /// PSNRs of continuous, rounded and re-optimized masks; otherwise it is None. For patterns that
+    /// were not factorized, None.
     #[getter]
     fn solution<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let Some(Solved { solution, .. }) = &self.solved else { return Ok(None) };

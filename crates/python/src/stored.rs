@@ -37,7 +37,7 @@ pub(crate) fn notes(path: &Path) -> (Option<Arc<Description>>, Map<String, Value
         if is_index { vec![path.to_path_buf()] } else { vec![path.join(INDEX), path.join("target").join(INDEX)] };
     let Some(mut index) = places.iter().find_map(|place| read(place)) else { return (None, Map::new()) };
     let Some(Value::Object(mut info)) = index.remove("info") else { return (None, Map::new()) };
-    // A note of this name that is no display stays a note.
+    // If the note `display` is not a valid display, it stays a note.
     let display = info.get(DISPLAY).and_then(|display| serde_json::from_value::<Description>(display.clone()).ok());
     let display = display.filter(|display| display.check().is_ok());
     if display.is_some() {
@@ -72,11 +72,11 @@ pub(crate) fn remove_stale(folder: &Path, old: &[String], views: [usize; 2]) -> 
     })
 }
 
-/// Checks that a path can become a folder of this content: it must not have the name of a file, and
-/// must not be the folder of the other content.
+/// Checks that a path can become a folder of this content. A path that does not exist must not have
+/// the suffix of a file. An existing folder must not have the other content.
 ///
 /// # Errors
-/// SettingError with the remedy.
+/// SettingError for the suffix of a file, FileError for a folder of the other content.
 pub(crate) fn check_free(py: Python<'_>, folder: &Path, holds: Holds) -> PyResult<()> {
     let suffix = folder.extension().map(|suffix| suffix.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if FILES.contains(&&*suffix) && !folder.exists() {

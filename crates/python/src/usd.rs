@@ -47,10 +47,10 @@ pub(crate) fn is_here(py: Python<'_>) -> bool {
     py.import("pxr.Usd").is_ok()
 }
 
-/// Returns true if an object is a stage.
+/// Returns true if an object is a stage of OpenUSD.
 pub(crate) fn is_stage(object: &Bound<'_, PyAny>) -> bool {
-    // If the module is not loaded, no stage exists. The module is not imported here, since the
-    // import is slow.
+    // If `pxr.Usd` is not loaded, no stage exists. The function does not import `pxr.Usd`, since
+    // the import is slow.
     let modules = object.py().import("sys").and_then(|sys| sys.getattr("modules"));
     let stage = modules.and_then(|modules| modules.get_item("pxr.Usd")).and_then(|usd| usd.getattr("Stage"));
     stage.and_then(|stage| object.is_instance(&stage)).unwrap_or(false)

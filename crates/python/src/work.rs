@@ -1,10 +1,10 @@
 //! Long work in another thread, without Python's lock.
 //!
 //! The calling thread wakes every [`POLL`]. It checks for signals (Python delivers Ctrl-C only to
-//! its main thread), calls the callback with the progress, and issues warnings. An exception in
-//! this thread cancels the work and is raised after the work has stopped. It may be a
-//! `KeyboardInterrupt`, an exception of the callback, or a warning that Python's filters turn into
-//! an error.
+//! its main thread), calls the callback with the progress, and issues warnings. An exception in the
+//! calling thread cancels the work, and is raised after the work has stopped. Such an exception is
+//! a `KeyboardInterrupt`, an exception of the callback, or a warning that Python's filters turn
+//! into an error.
 
 use std::any::Any;
 use std::ffi::OsString;

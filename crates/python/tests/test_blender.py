@@ -98,8 +98,8 @@ def test_the_window_of_a_camera_without_focus_is_at_the_subject() -> None:
         found = window_distance(subject + [300.0] * (165 - near))
         assert found is not None and 2.8 < found < 4.0, found
     assert window_distance([2.0 + 2.0 * number / 100 for number in range(101)]) == pytest.approx(3.0), "the middle"
-    # A blade of grass in front of the lens has no effect, and content behind an orthographic camera
-    # neither.
+    # A blade of grass in front of the lens has no effect, and neither has content behind an
+    # orthographic camera.
     assert window_distance([0.05, *[4.0] * 120, -7.0]) == pytest.approx(4.0)
     assert window_distance([]) is None and window_distance([-1.0]) is None
 
@@ -426,7 +426,7 @@ def until(live: Program, is_right: Callable[[State], bool]) -> State:
         if is_right(live.state):
             return live.state
         time.sleep(0.01)
-    raise AssertionError(f"waited in vain: {live.state}")
+    raise AssertionError(f"expected another state, found {live.state}")
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")

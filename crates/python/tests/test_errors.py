@@ -187,7 +187,7 @@ def test_arguments_of_a_wrong_type_are_named(light_field: LightField, radiance: 
         (lumistack.render, (3,), {}, "^scene: expected a Scene, a path or a stage of OpenUSD, found int"),
         (lumistack.render, (without_cameras,), {"camera": "x"}, "camera: expected none, since the scene has no cameras, found x"),
         (light_field.exposed, ("1",), {}, "^exposure_ev: expected a number"),
-        (LightField, (radiance, display), {}, "write display="),
+        (LightField, (radiance, display), {}, "pass the others by name, such as display="),
         (LightField, (radiance.tolist(),), {"display": display}, r"found list; numpy\.asarray\(\.\.\.\) makes one"),
         (LightField.open, ("x.npy",), {"slope_x": [0.0]}, r"LightField\(numpy\.load\(path\), slope_x="),
         (lumistack.set_threads, (0,), {}, "expected 1 or more, found 0"),

@@ -176,7 +176,7 @@ def test_plots_show_what_they_say(light_field: lumistack.LightField) -> None:
     stack = light_field.factorize(iterations=5)
     assert light_field.plot((0, 0)).get_title().startswith("view [0, 0], slope (\N{MINUS SIGN}0.1")
     assert light_field.plot((1, 1)).get_title() == "view [1, 1], slope (0.000, 0.000)"
-    # a notebook shows a returned figure twice
+    # `plot` returns axes, since a notebook would show a returned figure twice
     axes = stack.plot(1)
     titles = [one.get_title() for one in axes]
     assert titles == ["layer 0, \N{MINUS SIGN}12 mm", "layer 1, 0 mm", "layer 2, 12 mm", "seen, 2 frames"]

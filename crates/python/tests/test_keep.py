@@ -61,7 +61,7 @@ def test_a_folder_keeps_settings_and_display(rendered: LightField, tmp_path: Pat
     # the argument takes precedence
     other = Display("fig7-uniform", resolution=(24, 15))
     assert LightField.open(tmp_path / "views", display=other).display == other
-    # a note of this name that is no display stays a note
+    # if the note `display` is not a valid display, it stays a note
     rendered.save(tmp_path / "views", info={"display": "mine"})
     read = LightField.open(tmp_path / "views")
     assert read.display is None and read.info["display"] == "mine"
@@ -81,7 +81,7 @@ def test_views_that_the_solver_used_are_no_silent_references(rendered: LightFiel
 
 def test_the_default_display_is_no_silent_choice(tmp_path: Path) -> None:
     field = LightField(numpy.full((3, 3, 8, 8, 3), 0.5, "f4"), pitch_mm=1.0, fov_deg=(20, 20))
-    with pytest.warns(lumistack.LumistackWarning, match="no display, so the default is used, .* 12 frames.*write display="):
+    with pytest.warns(lumistack.LumistackWarning, match="no display, so the default is used, .* 12 frames.*pass display="):
         field.factorize(iterations=0)
     with pytest.warns(lumistack.LumistackWarning, match="the default is used"):
         lumistack.write(field, "images", tmp_path / "images")

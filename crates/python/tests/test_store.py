@@ -114,7 +114,7 @@ def test_a_store_that_cannot_be_used_is_named(tmp_path: Path, job: Path, monkeyp
             with pytest.raises(lumistack.farm.FarmError, match=part) as caught:
                 lumistack.farm.run(job, tmp_path / "run", client=client, store=url)
             assert url in str(caught.value)
-    with pytest.raises(lumistack.farm.FarmError, match="expected `send` beside a `store`"):
+    with pytest.raises(lumistack.farm.FarmError, match="send: expected a `store`"):
         lumistack.farm.run(job, tmp_path / "run", send=[tmp_path])
     with pytest.raises(lumistack.farm.FarmError, match="expected a folder to send, found none"):
         lumistack.farm.run(job, tmp_path / "run", store=f"file://{tmp_path}/store", send=[tmp_path / "missing"])

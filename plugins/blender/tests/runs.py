@@ -72,8 +72,8 @@ def case_make(folder, zip_path):
     held = jobs.shown[scene.name]
     assert held.score.directions == 4 and 10.0 < held.score.worst < held.score.psnr_zone < 40.0, held.score
     assert held.score.text() in " ".join(job.said) and "PSNR" not in " ".join(job.said), job.said
-    # The score is the one of the display in directions that the solver did not see: it is below the
-    # solver's own.
+    # The score is for directions that the solver did not use, so it is below the PSNR of the
+    # solver's views.
     own = held.stack.psnr(lumistack.LightField.open(out / "target"))
     assert held.score.psnr_zone < own - 1.0, (held.score, own)
     # The button shows a picture from between the views, not the one from straight ahead.
@@ -132,7 +132,7 @@ def case_make(folder, zip_path):
 
 
 def case_views(folder, zip_path):
-    """The number of views, and the number of renders that the panel states before a run."""
+    """The panel states the number of views and of renders before a run, and the number is right."""
     import bpy
     import scenes
 
@@ -265,7 +265,7 @@ def case_faults(folder, zip_path):
     scene.camera = bpy.data.objects["camera"]
     fails("no such.toml", scene)
     scene.lumistack.file = ""
-    fails("File: expected a display file (.toml), none is set; select one, or set Display to Preset", scene)
+    fails("File: expected a display file (.toml), found no path; select one, or set Display to Preset", scene)
     # In a scene without objects the camera is not at fault.
     scene = scenes.empty()
     configure(scene, folder)
@@ -295,7 +295,7 @@ def case_faults(folder, zip_path):
     print("note:", warned[0])
     assert bpy.ops.lumistack.fit_depth() == {"FINISHED"}
     assert not run(scene, factorize=False).warnings
-    # A far backdrop stays blurred; the scene before it is fitted as without the backdrop.
+    # A far backdrop stays blurred; the scene in front of it is fitted as without the backdrop.
     before = scene.lumistack.moved_back_mm, scene.lumistack.depth_scale
     wall = scenes.add("plane", bpy.data.materials["white"], size=4000.0)
     wall.matrix_world = scene.camera.matrix_world @ Matrix.Translation((0.0, 0.0, -900.0))
@@ -501,7 +501,8 @@ def case_resume(folder, zip_path):
 
 
 def case_command(folder, zip_path):
-    """A part of `case_resume`, which runs this function in a process and kills it."""
+    """A part of `case_resume`, which runs this function in two processes. The first process kills
+    itself."""
     import bpy
 
     install(zip_path)

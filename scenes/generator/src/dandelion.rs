@@ -1,5 +1,5 @@
 //! A dandelion clock of Gaussian splats. Its hairs are transparent, thinner than a pixel, and at
-//! every depth of the head. A mesh of this size could not represent them.
+//! every depth of the head. A mesh file of the same size could not represent such hairs.
 //!
 //! One unit is a decimetre, and y points up. The head's centre is the origin, and the flower's
 //! front faces +z. By spherical harmonics of degree 1, colours change with the direction of view,

@@ -119,7 +119,8 @@ fn add_mirrors(document: &mut Document) {
     let body = Mesh::cuboid(DVec3::new(-0.5 * width, 0.0, -thickness), DVec3::new(0.5 * width, height, 0.0));
     let primitives = vec![document.primitive(&glass, silver), document.primitive(&body, frame)];
     let mesh = document.add_mesh("framed mirror", primitives);
-    // a mirror that leans back lowers the rear edge of its foot, so lift the mirror by this height
+    // a mirror that leans back would have the rear edge of its foot below the table, so lift the
+    // mirror until this edge is on the table
     let lean_rad = 3f64.to_radians();
     let lift = thickness * lean_rad.sin();
     let mut node = node_at(

@@ -130,7 +130,7 @@ impl Document {
         )
     }
 
-    /// Adds an accessor of indices. They have 16 bits if no index is larger.
+    /// Adds an accessor of indices. The indices have 16 bits if all are below 65535, otherwise 32.
     pub(crate) fn add_indices(&mut self, indices: &[u32]) -> usize {
         let (view, component) = self.add_index_view(indices, Some(ELEMENT_ARRAY_BUFFER));
         self.push(

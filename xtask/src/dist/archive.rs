@@ -1,5 +1,6 @@
-//! Makes tarballs, zips and Debian packages whose bytes depend only on their content. A Debian
-//! package is an `ar` archive of two tarballs.
+//! Makes tarballs, zips and Debian packages. Their bytes depend only on their content, and on the
+//! time of the commit. A Debian package is an `ar` archive of its format's version and of two
+//! tarballs.
 
 use std::collections::BTreeSet;
 use std::io::Write as _;

@@ -14,8 +14,9 @@ const GLIBC: &str = "2.17";
 /// Linker and builders, as packages for pip.
 const TOOLS: [&str; 4] = ["--only-binary=:all:", "ziglang==0.17.*", "cargo-zigbuild==0.24.*", "maturin==1.16.*"];
 
-/// The packages of the program and of the Python module. Every build selects both packages, so that
-/// cargo chooses the same features for their dependencies and compiles the dependencies only once.
+/// The packages of the program and of the Python module. The build of the program selects both
+/// packages. So cargo chooses the same features of dependencies as in maturin's build of the
+/// module, and compiles the dependencies only once.
 const PACKAGES: [&str; 6] = [
     "--package",
     "lumistack-cli",
@@ -87,7 +88,7 @@ impl Target {
 fn host() -> Outcome<Target> {
     let said = output_of(command("rustc").arg("-vV")).ok_or("rustc does not start")?;
     let triple = said.lines().find_map(|line| line.strip_prefix("host: ")).unwrap_or_default();
-    Target::of(triple).ok_or_else(|| format!("{triple}: there are no releases for this machine"))
+    Target::of(triple).ok_or_else(|| format!("expected a machine with releases, found {triple}"))
 }
 
 /// Finds or makes a Python with the builders.
@@ -170,7 +171,7 @@ fn check_program(bytes: &[u8], target: &Target) -> Outcome {
     // `e_machine` of ELF's header: EM_X86_64 or EM_AARCH64
     let machine = if target.triple.starts_with("x86_64") { 62 } else { 183 };
     if !bytes.starts_with(b"\x7fELF") || bytes.get(18..20) != Some(&[machine, 0]) {
-        return Err(format!("is not an ELF program for {}", target.triple));
+        return Err(format!("expected an ELF program for {}, found another file", target.triple));
     }
     // the names of versions are strings in the table of dynamic symbols
     let number = |text: &str| -> Option<(u32, u32)> {
@@ -181,9 +182,9 @@ fn check_program(bytes: &[u8], target: &Target) -> Outcome {
         .split(|&byte| byte == 0)
         .filter_map(|text| number(std::str::from_utf8(text.strip_prefix(b"GLIBC_")?).ok()?))
         .max()
-        .ok_or("names no version of glibc")?;
+        .ok_or("expected names of versions of glibc, found none")?;
     if Some(newest) > number(GLIBC) {
-        return Err(format!("needs glibc {}.{}, expected at most {GLIBC}", newest.0, newest.1));
+        return Err(format!("expected glibc {GLIBC} or older, found {}.{}", newest.0, newest.1));
     }
     println!("{}: needs glibc {}.{}", target.triple, newest.0, newest.1);
     Ok(())
@@ -195,13 +196,14 @@ pub fn own_program() -> Outcome<PathBuf> {
     program(&host()?)
 }
 
-/// The free-threaded Python, which has no lock, for which there are wheels. The wheels for all
-/// other versions use Python's stable ABI, which free-threaded versions lack before 3.15.
+/// The free-threaded Python (without a lock) that has wheels of its own. The wheels for all other
+/// versions use Python's stable ABI, which free-threaded versions lack before 3.15.
 const FREE_THREADED: &str = "python3.14t";
 
-/// Builds the wheels for a target: the wheel for all versions of Python from 3.11 on, whose path is
-/// returned, and the wheel for [`FREE_THREADED`]. For Linux maturin knows the properties of this
-/// Python. For other systems maturin needs the program, so without it there is no such wheel.
+/// Builds the wheels for a target: one for all versions of Python from 3.11 on, and one for
+/// [`FREE_THREADED`]. Returns the path of the first wheel. For Linux maturin knows the properties
+/// of the free-threaded Python. For other systems maturin needs its program; without the program,
+/// only the first wheel is built.
 pub fn wheels(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
     let python = builders()?;
     let stable = wheel(target, &python, &python, folder, licences)?;
@@ -239,7 +241,7 @@ fn wheel(target: &Target, python: &Path, interpreter: &Path, folder: &Path, lice
     let wheels = std::fs::read_dir(&out).map_err(|error| format!("{}: {error}", out.display()))?;
     let wheel =
         wheels.flatten().map(|entry| entry.path()).find(|path| path.extension().is_some_and(|end| end == "whl"));
-    let wheel = wheel.ok_or_else(|| format!("maturin left no wheel in {}", out.display()))?;
+    let wheel = wheel.ok_or_else(|| format!("{}: expected a wheel by maturin, found none", out.display()))?;
     run(command(python).arg("xtask/python/licences.py").arg(&wheel).arg(&text))?;
     paths::check_zip(&wheel)?;
     let place = folder.join(wheel.file_name().unwrap_or_default());
@@ -261,8 +263,8 @@ mod tests {
             check_program(&bytes, &TARGETS[0])
         };
         assert_eq!(check(62, "GLIBC_2.2.5\0GLIBC_2.17\0"), Ok(()));
-        assert_eq!(check(62, "GLIBC_2.3\0GLIBC_2.28\0").unwrap_err(), "needs glibc 2.28, expected at most 2.17");
-        assert_eq!(check(62, "text").unwrap_err(), "names no version of glibc");
+        assert_eq!(check(62, "GLIBC_2.3\0GLIBC_2.28\0").unwrap_err(), "expected glibc 2.17 or older, found 2.28");
+        assert_eq!(check(62, "text").unwrap_err(), "expected names of versions of glibc, found none");
         assert!(check(183, "GLIBC_2.17\0").is_err());
     }
 }

@@ -13,8 +13,8 @@ use crate::wine::MINGW;
 /// Names of the scripts in `tests/install`.
 pub const WAYS: [&str; 8] = ["tarball", "deb", "wheel", "npm", "blender", "pages", "arm", "windows"];
 
-/// Ways to install programs for other machines. Each is tested if the user names it, or if its file
-/// in `dist` exists.
+/// Ways to install programs for other machines. Each is tested if the user names it, or if the user
+/// names no way and the program is in `dist`.
 const ARM: &str = "arm";
 const WINDOWS: &str = "windows";
 

@@ -19,7 +19,7 @@ struct Folder {
 /// Returns the folders that contain sources. If a folder is within another folder, the outer folder
 /// is first, since the compiler uses the last flag that matches a path.
 fn folders() -> Outcome<Vec<Folder>> {
-    let home = std::env::home_dir().ok_or("this user has no home folder")?;
+    let home = std::env::home_dir().ok_or("expected a home folder of the user, found none")?;
     let cargo = std::env::var("CARGO_HOME").map_or_else(|_| home.join(".cargo"), Into::into);
     let sysroot = output_of(command("rustc").args(["--print", "sysroot"])).ok_or("rustc does not start")?;
     let mut folders = vec![
@@ -77,7 +77,7 @@ fn check_bytes(name: &str, bytes: &[u8], folders: &[Folder]) -> Outcome {
             let end = bytes.len().min(place + 120);
             let quoted: String =
                 bytes[place..end].iter().map(|&byte| char::from(byte)).take_while(|c| c.is_ascii_graphic()).collect();
-            return Err(format!("{name}: contains the path `{quoted}` of this machine at byte {place}"));
+            return Err(format!("{name}: expected no path of this machine, found `{quoted}` at byte {place}"));
         }
     }
     Ok(())
@@ -107,7 +107,7 @@ mod tests {
         let check = |text: &str| check_bytes("a file", text.as_bytes(), &folders);
         assert_eq!(check("see /home/username/x, /home/user and /home"), Ok(()));
         let error = check("\0/home/user/.cargo/lib.rs\0").unwrap_err();
-        assert_eq!(error, "a file: contains the path `/home/user/.cargo/lib.rs` of this machine at byte 1");
+        assert_eq!(error, "a file: expected no path of this machine, found `/home/user/.cargo/lib.rs` at byte 1");
         assert!(check(r"/home/user\x").is_err());
         // the root folder `/` has no name to search for, so nothing is found
         assert_eq!(find(b"/usr/lib", "/"), None);

@@ -30,7 +30,7 @@ def from_dlpack(tensor: Any, what: str) -> Any:
 
 
 def to_xarray(light_field: LightField) -> Any:
-    """The values as an `xarray.DataArray`."""
+    """Returns the values as an `xarray.DataArray`."""
     import numpy
     import xarray
 

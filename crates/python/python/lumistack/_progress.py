@@ -1,5 +1,5 @@
-"""Progress of long calls without a callback: a line in a terminal, a bar in a notebook. Other
-programs get no output."""
+"""Progress of long calls without a callback: a line in a terminal, a bar in a notebook. Elsewhere
+the line appears only after `set_progress(True)`."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ _wanted: bool | None = None
 def set_progress(shown: bool | None = None) -> None:
     """Sets whether long calls show their progress.
 
-    shown: True for always, False for never, None for terminals and notebooks only (the default). A
-    call with a callback shows nothing; the callback receives the progress.
+    shown: True for always, False for never, None for terminals and notebooks only (the default). In
+    two cases a call shows nothing: outside of the main thread, and with a callback, which receives
+    the progress.
 
     >>> set_progress(False)
     """

@@ -51,7 +51,7 @@ def layer_stack(stack: LayerStack) -> str | None:
         "frames": f"{stack.frames}, at a brightness of {stack.brightness:g}",
     }
     if stack.history:
-        facts["PSNR"] = f"{stack.history[-1][2]:.2f} dB of the views that the solver saw"
+        facts["PSNR"] = f"{stack.history[-1][2]:.2f} dB over the views that the solver used"
     patterns = [f'<img src="{_png(layer[0])}" alt="layer {n}" width="120">' for n, layer in enumerate(stack.layers)]
     return _viewer("LayerStack", facts, seen) + f"<p>first frame, rear to front<br>{' '.join(patterns)}</p>"
 

@@ -216,7 +216,7 @@ impl Scene {
         match primitive["mode"].as_u64().unwrap_or(4) {
             4 => order.chunks_exact(3).map(|corners| [corners[0], corners[1], corners[2]]).collect(),
             5 => (0..order.len() - 2).map(|k| [order[k], order[k + 1 + k % 2], order[k + 2 - k % 2]]).collect(),
-            mode => panic!("the generator writes no primitives of mode {mode}"),
+            mode => panic!("expected a primitive of mode 4 or 5, found mode {mode}"),
         }
     }
 

@@ -40,7 +40,7 @@ def directions(slopes: Sequence[float], most: int, reach: float = 1.0) -> list[f
     last = len(halfway) - 1
     for count in range(min(most, len(halfway)), 1, -1):
         # The first index is (last - stride (count - 1)) / 2, which must be a whole number.
-        # Narrower sets are better than wider ones.
+        # If no symmetric set has the wanted width, a narrower set is better than a wider set.
         most_stride = last // (count - 1)
         wanted = max(int(reach * last / (count - 1)), 1)
         for stride in [*range(wanted, 0, -1), *range(wanted + 1, most_stride + 1)]:

@@ -32,8 +32,8 @@ SENSOR_MM = 36.0
 #: Distance of the near clipping plane. It is a fraction of the distance from the camera to the
 #: window in perspective views, and to the farthest content in oblique views.
 NEAREST = 1e-4
-#: Largest factor between the middle of the depths and the distance that near surfaces determine, with
-#: which the window is in the middle.
+#: The window is in the middle of the depths, unless the middle differs by more than this factor
+#: from the distance that near surfaces determine.
 CENTRED = 1.5
 #: Fraction of the picture that the nearest surfaces must cover to have their full weight.
 STRAY = 0.02

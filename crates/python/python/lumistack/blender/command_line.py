@@ -29,9 +29,9 @@ class Asked:
     scene: str | None
     #: "move" or "compress"; None if depth is not fitted.
     fit_depth: str | None
-    #: Values of the extension's settings `Scene.lumistack`, and of Blender's own settings of the
-    #: scene (`scene_settings`).
+    #: Values of the extension's settings, `Scene.lumistack`.
     settings: dict[str, Any] = field(default_factory=dict)
+    #: Values of Blender's own settings of the scene.
     scene_settings: dict[str, Any] = field(default_factory=dict)
 
 
@@ -76,14 +76,14 @@ def parse(words: list[str]) -> Asked:
     parser = _Parser(prog="blender -b FILE.blend --command lumistack", description="Makes patterns of a scene. Settings without a flag are taken from the file.")
     parser.add_argument("what", nargs="?", choices=["make", "views"], default="make", help="patterns and outputs (make), or the views alone (views)")
     parser.add_argument("--blend", metavar="FILE", help="another .blend file to open")
-    parser.add_argument("--scene", metavar="NAME", help="a scene of the file")
-    parser.add_argument("-o", "--output", metavar="DIR", dest="folder", help="folder for everything")
-    parser.add_argument("--display", metavar="PRESET|FILE", help="display")
+    parser.add_argument("--scene", metavar="NAME", help="name of a scene in the file")
+    parser.add_argument("-o", "--output", metavar="DIR", dest="folder", help="folder for all results")
+    parser.add_argument("--display", metavar="PRESET|FILE", help="name of a built-in display, or path of a display file")
     parser.add_argument("--grid", choices=["display", "oblique", "perspective"], help="parallel views, or views from eyes")
-    parser.add_argument("--distance-mm", type=float, metavar="MM", help="distance of the eyes")
-    parser.add_argument("--views", type=_views, metavar="auto|half|HxV", help="number of views: so many that the display is also right between the views, half of them per axis, or HxV")
+    parser.add_argument("--distance-mm", type=float, metavar="MM", help="distance of the eyes from the display")
+    parser.add_argument("--views", type=_views, metavar="auto|half|HxV", help="number of views: auto (enough for directions between the views), half (half of these per axis), or HxV")
     parser.add_argument("--score", action=argparse.BooleanOptionalAction, help="render a few further views, and score the display between its views")
-    parser.add_argument("--quality", choices=["draft", "preview", "full"], help="pixels, iterations and paths, as in the panel")
+    parser.add_argument("--quality", choices=["draft", "preview", "full"], help="quality, as in the panel; determines pixels, iterations and paths")
     parser.add_argument("--brightness", type=float, metavar="B", help="brightness scale, above 0 and at most 1")
     parser.add_argument("--pixels", type=int, metavar="PERCENT", help="per cent of the display's pixels, on each axis")
     parser.add_argument("--iterations", type=int, metavar="N", help="iterations of the solver")
@@ -91,9 +91,9 @@ def parse(words: list[str]) -> Asked:
     parser.add_argument("--renderer", choices=["blender", "lumistack", "both"], help="program that renders the views")
     parser.add_argument("--look", choices=["scene", "linear"], help="as Blender shows the scene, or linear")
     parser.add_argument("--exposure", type=float, metavar="EV", help="exposure in stops, with --look linear")
-    parser.add_argument("--window-distance", type=float, metavar="D", help="from the camera to the window, scene units")
+    parser.add_argument("--window-distance", type=float, metavar="D", help="distance from the camera to the window, scene units")
     parser.add_argument("--window-size", type=float, metavar="F", help="width of the window, divided by the width of the camera's picture in the window's plane")
-    parser.add_argument("--handover", choices=["gltf", "usd", "both"], help="how Lumistack's path tracer gets the scene")
+    parser.add_argument("--handover", choices=["gltf", "usd", "both"], help="format in which Lumistack's path tracer gets the scene")
     parser.add_argument("--fit-depth", choices=["move", "compress"], help="bring the scene into the display's depth of field")
     parser.add_argument("--frames", type=_frames, metavar="A..B", help="a range of frames")
     parser.add_argument("--plugin", metavar="ID", help="output plugin")
@@ -132,7 +132,7 @@ def parse(words: list[str]) -> Asked:
         settings["use_brightness"] = True
     if {"percentage", "iterations", "samples"} & settings.keys():
         if "quality" in settings:
-            parser.error("argument --quality: expected without --pixels, --iterations and --samples, which are a quality of their own")
+            parser.error("argument --quality: expected none beside --pixels, --iterations or --samples, which set the quality themselves, found one")
         settings["quality"] = "CUSTOM"
     if "distance" in settings:
         settings["window_from"] = "DISTANCE"

@@ -26,7 +26,7 @@ TOLERANCE = 0.01
 LEAST_SCALE = 0.03
 #: Fractions of the farthest content that a fit may leave blurred, in the order of the attempts.
 LEFT_OUT = (ENDS[0], *(number / 20 for number in range(1, 19)))
-#: A warning appears if a larger fraction of the picture lies outside the sharp depths.
+#: A warning appears if at least this fraction of the visible content lies outside the sharp depths.
 WORTH_SAYING = 0.05
 
 

@@ -75,12 +75,13 @@ class Glb:
                 indices = self._values(primitive["indices"])
                 if positions is None or indices is None:
                     continue
-                # Divide by the largest edge, so that tiny triangles keep an area.
+                # Divide by the largest coordinate of the edges, so that the area of a tiny triangle
+                # does not become 0.
                 corners = positions.astype(numpy.float64)[indices.reshape(-1, 3)]
                 edges = corners[:, 1:] - corners[:, :1]
                 edges /= numpy.maximum(numpy.abs(edges).max(axis=(1, 2), keepdims=True), 1e-300)
                 has_area = numpy.linalg.norm(numpy.cross(edges[:, 0], edges[:, 1]), axis=1) > 1e-300
-                # A primitive needs triangles.
+                # A primitive without triangles is invalid, so keep the triangles if all are flat.
                 if has_area.all() or not has_area.any():
                     continue
                 kept = indices.reshape(-1, 3)[has_area]

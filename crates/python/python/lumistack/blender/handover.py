@@ -53,7 +53,7 @@ def export_scene(bpy: Any, path: str | Path, warn: Warn, scene: Any = None) -> N
                 warn(image.name, f"the picture {image.filepath} is missing; its surfaces have no texture")
     for library in bpy.data.libraries:
         if not Path(bpy.path.abspath(library.filepath)).is_file():
-            warn(library.name, f"the library {library.filepath} is missing; what is linked from it is left out")
+            warn(library.name, f"the library {library.filepath} is missing; its linked objects are left out")
     file.write(path)
 
 
@@ -67,7 +67,7 @@ def in_window(bpy: Any, scene: Any) -> Iterator[None]:
         return
     windows = [each for manager in bpy.data.window_managers for each in manager.windows]
     if not windows:
-        raise RuntimeError("Blender has no window open, and its exporters need one: start Blender with a file that has a window")
+        raise RuntimeError("expected an open window of Blender, which exporters need, found none: start Blender with a file that has a window")
     window = window or windows[0]
     shown = window.scene
     # The exporter reads the scene of the window.
@@ -232,7 +232,7 @@ def _add_light(held: Any, matrix: Any, file: Glb, warn: Warn) -> None:
         positions, triangles = panel(width, height, round_shape)
         across = (matrix.col[0].xyz * width).cross(matrix.col[1].xyz * height).length * (math.pi / 4 if round_shape else 1.0)
         if not across > 0.0:
-            warn(name, "an area light without an area; left out")
+            warn(name, "an area light without an area is left out")
             return
         if light.spread < math.radians(179.0):
             warn(name, f"the area light's spread of {math.degrees(light.spread):.0f}° is taken as 180°")

@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
-#: Number of the newest scene files that are kept, and also of the newest display files. The program
-#: may still read them.
+#: Number of scene files that are kept besides the newest one, and also of display files. The
+#: program may still read these files.
 KEPT = 4
-#: Longest text of a message.
+#: Largest number of characters of a message.
 LONGEST = 400
 #: Longest wait for the first answer of a running program after `Attached` connects to it, seconds.
 ANSWER_S = 5.0
@@ -44,7 +44,7 @@ class State:
     psnr: float | None = None
     #: Seconds from the last change to the first state that shows it.
     latency_s: float | None = None
-    #: The last warning or error; empty without one.
+    #: The last warning or error since the last change; empty without one.
     problem: str = ""
     #: Path of the report, after the end of the program.
     report: str = ""
@@ -62,7 +62,7 @@ class Program:
         self._lock = threading.Lock()
         self._state = State()
         #: Time of the last change, and the number of the content before it; None once a state shows
-        #: the change.
+        #: the change, or the program has refused it.
         self._sent: tuple[float, int] | None = None
 
     @property
@@ -72,7 +72,7 @@ class Program:
 
     @property
     def is_shown(self) -> bool:
-        """True if a state shows the last change."""
+        """True if a state shows the last change, or if the program has refused it."""
         with self._lock:
             return self._sent is None
 
@@ -247,7 +247,7 @@ class Attached(Program):
 
 
 class Files:
-    """Numbered files of one folder. Only the newest `KEPT` files stay."""
+    """Numbered files of one folder. Only the newest file and `KEPT` earlier files stay."""
 
     def __init__(self, folder: Path, stem: str, suffix: str) -> None:
         """Makes the folder. Numbers continue after the files of earlier sessions, since a running

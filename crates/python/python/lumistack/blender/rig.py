@@ -199,7 +199,7 @@ def focus_of(bpy: Any, camera: Any) -> float | None:
 
 def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: float | None = None, camera: Any = None) -> Window:
     """Returns the window in front of the scene's camera. The window is at the given distance, or
-    else at the camera's plane of focus, or else where near content is visible."""
+    else at the camera's plane of focus, or else at the distance that `middle_of_view` returns."""
     camera = camera or scene.camera
     if camera is None:
         raise NoWindow("the scene has no camera: add one (Add > Camera, then View > Cameras > Set Active Object as Camera)")

@@ -44,7 +44,7 @@ class Views:
         return self.path(view).is_file()
 
     def missing(self) -> list[View]:
-        """Returns the views that are not rendered yet, in order."""
+        """Returns the views that are not rendered yet, row by row."""
         return [view for view in self.all() if not self.is_there(view)]
 
     def begin(self, view: View) -> Path:

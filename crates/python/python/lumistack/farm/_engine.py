@@ -23,8 +23,8 @@ from lumistack.farm import _store, _work
 
 # Number of failures after which a unit is abandoned.
 MOST_FAILURES = 3
-# Number of times that a unit may be lost with its worker before it is abandoned. The limit is high,
-# since preempted workers are not the unit's fault.
+# Number of losses after which a unit is abandoned. A unit is lost with its worker. The number is
+# high, since preempted workers are not the unit's fault.
 MOST_LOSSES = 50
 # Longest time to wait for the first worker, seconds.
 WORKER_SECONDS = 60.0
@@ -60,7 +60,7 @@ class Outcome:
     done: list[str] = field(default_factory=list)
     """Units that were executed by this call."""
     before: int = 0
-    """Units that an earlier call had executed."""
+    """Number of units that earlier calls had executed."""
     failed: dict[str, str] = field(default_factory=dict)
     """Abandoned units, with the cause."""
     left: list[str] = field(default_factory=list)
@@ -144,7 +144,7 @@ def execute(
         check_address(address, tls is not None, insecure)
     on_workers = list(worker_program) if worker_program else (list(program) if program and address is None and client is None else None)
     if send and store is None:
-        raise FarmError("expected `send` beside a `store`, found no store")
+        raise FarmError("send: expected a `store`, to which the folders are copied, found none")
     start = time.monotonic()
     with connected(address, client, workers, tls) as dask:
         engine = Engine(dask, planned, list(maps), threads, on_workers, tell)
@@ -494,7 +494,7 @@ class Engine:
         outcome.left = [unit for unit in self.units if unit not in self.done and unit not in outcome.failed]
         if not outcome.failed:
             return outcome
-        kept = f"{len(self.done)} of {len(self.units)} units are done and kept; the same command continues after them"
+        kept = f"{len(self.done)} of {len(self.units)} units are done and kept; the same command continues after these units"
         if self.unwritable is not None:
             place = "the run folder cannot be written" if self.store is None else "the store cannot be used"
             raise FarmError(f"{place}: {self.unwritable}; {kept}")

@@ -1,5 +1,5 @@
 """An object store instead of a shared folder, by fsspec. Workers that share no file system exchange
-the files of units through it.
+the files of units through the store.
 
     URL/files/SHA256                 contents of files, by their hash: written once, never changed
     URL/PLAN/units/ID.json           files that a unit wrote: path, hash and size of each; written last, so the store has all files of a unit or none
@@ -42,7 +42,7 @@ class Store:
         try:
             fsspec = import_module("fsspec")
         except ImportError as error:
-            raise StoreError(f"expected the package fsspec, found none ({error}); pip install 'lumistack[farm]' brings it along") from error
+            raise StoreError(f"expected the package fsspec, found none ({error}); `pip install 'lumistack[farm]'` installs it") from error
         try:
             self.fs, self.root = fsspec.core.url_to_fs(self.url, use_listings_cache=False)
         except Exception as error:  # each file system raises its own errors

@@ -82,7 +82,8 @@ def _address() -> str:
 
 
 def _threads(given: int | None) -> int:
-    """Returns the number of threads of a unit: the machine's cores divided by the worker's threads."""
+    """Returns the number of threads of a unit: the given number, or else the machine's cores divided by
+    the worker's threads."""
     if given is not None:
         return given
     try:
