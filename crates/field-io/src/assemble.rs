@@ -27,8 +27,8 @@ pub(crate) const LARGEST: f32 = 65504.0;
 const OVERSHOOT: f32 = -1e-3;
 /// Pixels are regarded as square if their width and height differ by less than this fraction.
 const SQUARE: f64 = 0.01;
-/// The focus is moved only if the 10th and the 90th percentile of the disparity have one sign, and
-/// the smaller of the two is at least this large, in pixels per view.
+/// Smallest disparity for which the focus is moved, in pixels per view. The 10th and the 90th
+/// percentile must have one sign, and both must be at least this large.
 const STILL_PX: f64 = 0.5;
 
 /// A view of the source that is not kept, and lies between two kept ones.

@@ -138,7 +138,8 @@ typedef struct LumistackDescriptor {
   uint32_t kind;
   /**
    * Accepted input ports, bits of `port`: `FILE` for importers, none for
-   * sources, `LIGHT_FIELD` for nodes.
+   * sources, `LIGHT_FIELD` for nodes. An output accepts
+   * `LIGHT_FIELD`, `LAYER_STACK` or both.
    */
   uint32_t ports;
   /**
@@ -293,7 +294,8 @@ typedef struct LumistackData {
    *   patterns have the display's shape; `layer_plane` and `emission_plane` lend them.
    * * A depth: `{"rows", "cols", "z_mm": [...]}`, row by row, in millimetres towards the viewer,
    *   null for a miss. It belongs to the view [view rows / 2, view columns / 2], and may be
-   *   coarser than the views. The key is left out if the depth is unknown.
+   *   coarser than the views. If the depth is unknown, the keys `depth` and `target_depth` are
+   *   left out.
    * * A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
    *   "distance_mm", "slope_x": [...], "slope_y": [...]}`.
    */
@@ -355,10 +357,11 @@ typedef struct LumistackView {
 } LumistackView;
 
 /**
- * Functions of the host. Any thread may call them, from `open` until `close` returns.
+ * Functions of the host, which any thread may call. An output may call them from `open` until
+ * `close` returns; other plugins may call them until `import` or `make` returns.
  *
- * They are passed as a table because every library has its own statics (loggers, allocators,
- * thread pools), and cannot reach the host's.
+ * The functions are passed as a table because every library has its own statics (loggers,
+ * allocators, thread pools), and cannot reach those of the host.
  */
 typedef struct LumistackHostServices {
   /**
@@ -386,8 +389,8 @@ typedef struct LumistackHostServices {
    */
   void (*progress_end)(const void *context);
   /**
-   * Returns nonzero once the user cancelled. Long work checks it often, and then returns
-   * `Status::CANCELLED`.
+   * Returns nonzero once the user cancelled. Long work calls this function often. After a
+   * nonzero result it returns `Status::CANCELLED`.
    */
   uint8_t (*is_cancelled)(const void *context);
   /**
@@ -433,7 +436,7 @@ typedef struct LumistackHostServices {
   void (*tell)(const void *context, struct LumistackStr event_json);
   /**
    * Port whose data the output will receive, a bit of `port`; 0 if the host does
-   * not know it.
+   * not know the port.
    */
   uint32_t port;
 } LumistackHostServices;
@@ -447,7 +450,8 @@ typedef struct LumistackTime {
    */
   size_t size;
   /**
-   * Number of the time step in this output, from 0. A still has only 0.
+   * Number of the time step. For outputs and nodes the first number is 0, also of a still. For a
+   * source the job sets the first number.
    */
   uint64_t index;
   /**
@@ -471,8 +475,8 @@ typedef struct LumistackOutputVtable {
    * Starts an output. `params_json` is an object with any of the schema's parameters.
    * `display_json` is the display file as JSON. `host` is valid until `close` returns.
    *
-   * On success `*instance` is a handle for the other functions. Otherwise it stays unchanged,
-   * and `close` is not called.
+   * On success `*instance` is a handle for the other functions. After a failure `*instance` is
+   * unchanged, and `close` is not called.
    */
   LumistackStatus (*open)(const struct LumistackHostServices *host,
                           struct LumistackStr params_json,
@@ -480,8 +484,8 @@ typedef struct LumistackOutputVtable {
                           void **instance,
                           const struct LumistackErrorSink *error);
   /**
-   * Takes one time step of the sequence. Any thread may call it; several threads may call it in
-   * parallel.
+   * Takes one time step of the sequence. Any thread may call this function; several threads may
+   * call it in parallel.
    */
   LumistackStatus (*submit)(void *instance,
                             const struct LumistackTime *time,
@@ -503,14 +507,14 @@ typedef struct LumistackOutputVtable {
    */
   void (*close)(void *instance);
   /**
-   * For presenters with commands, else null. Executes a command while `run` runs; any thread may
-   * call it. The plugin defines the form of `command_json`.
+   * For presenters with commands, else null. Executes a command while `run` runs. Any thread may
+   * call this function. The plugin defines the form of `command_json`.
    */
   LumistackStatus (*command)(void *instance, struct LumistackStr command_json, const struct LumistackErrorSink *error);
 } LumistackOutputVtable;
 
 /**
- * Receives bytes, in order.
+ * Receives a sequence of bytes, piece by piece.
  */
 typedef struct LumistackByteSink {
   /**
@@ -561,7 +565,8 @@ typedef struct LumistackImporterVtable {
    */
   size_t size;
   /**
-   * Extensions of the files that it reads: lower case, without the dot, separated by spaces.
+   * Extensions of the files that the importer reads: lower case, without the dot, separated by
+   * spaces.
    */
   struct LumistackStr extensions;
   /**
@@ -590,8 +595,8 @@ typedef struct LumistackFieldSink {
    */
   void *context;
   /**
-   * Sets the light field's geometry, in the form that `Data::description_json` gives a
-   * geometry. Called once, before the first view.
+   * Sets the light field's geometry, in the form of a geometry in `Data::description_json`.
+   * Called once, before the first view.
    */
   LumistackStatus (*geometry)(void *context, struct LumistackStr geometry_json, const struct LumistackErrorSink *error);
   /**
@@ -626,8 +631,8 @@ typedef struct LumistackSourceVtable {
 } LumistackSourceVtable;
 
 /**
- * Receives a layer stack for the node's display. Only one thread at a time may call these
- * functions.
+ * Receives a layer stack for the node's display. Two threads must never call these functions at
+ * the same time.
  */
 typedef struct LumistackStackSink {
   /**
@@ -679,8 +684,8 @@ typedef struct LumistackStackSink {
    *
    * * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
    *   solved first.
-   * * `kkt_residual`: one more exact update of a value of the patterns would change the
-   *   emission. The residual is the root mean square of these changes over all values.
+   * * `kkt_residual`: if one value of the patterns had one more exact update, the emission would
+   *   change. The residual is the root mean square of this change over all values.
    * * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
    *   bits, or null.
    */

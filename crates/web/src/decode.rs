@@ -155,8 +155,8 @@ mod tests {
         }
     }
 
-    /// A changed byte is an error, or it leaves the decoded pixels unchanged. The second case occurs
-    /// in a chunk's checksum and in an optional chunk.
+    /// A changed byte is an error, or it leaves the decoded pixels unchanged. The second case
+    /// occurs in a chunk's checksum and in an optional chunk.
     #[test]
     fn changed_bytes_never_give_another_picture() {
         let codes: Vec<u8> = (0..3 * 40).map(|i| (i * 37 % 256) as u8).collect();
