@@ -38,7 +38,8 @@ pub enum ToneCurve {
     Agx,
 }
 
-/// Reflection of a dielectric at normal incidence, which the Khronos curve subtracts.
+/// Reflectance of a dielectric at normal incidence, which the Khronos curve subtracts. Its
+/// specification calls this value F90.
 const F90: f32 = 0.04;
 /// Value at which the compression of the Khronos curve starts.
 const START: f32 = 0.8 - F90;

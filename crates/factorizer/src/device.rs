@@ -238,7 +238,8 @@ impl Plan {
         crate::unlit::share(self)
     }
 
-    /// Returns lines and columns of factor `n`: for a directional backlight, bins times lenslets.
+    /// Returns the numbers of lines and columns of factor `n`. For a directional backlight, each is
+    /// the product of bins and lenslets along that axis.
     pub fn size(&self, n: usize) -> [usize; 2] {
         [self.maps[n].layout.lines(), self.maps[n].layout.cols()]
     }

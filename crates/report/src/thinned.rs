@@ -1,5 +1,6 @@
-//! Selects the views that are measured and shown one by one. If there are hundreds of views, the
-//! report has pictures of only some views. The zone score measures the quality over the whole zone.
+//! Selects the views that are measured and shown one by one. If an axis has more than [`MOST`]
+//! views, the report has pictures of only some of them. The zone score measures the quality over
+//! the whole zone.
 
 use lumistack_core::Tensor;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};

@@ -149,7 +149,8 @@ impl Pattern {
         })
     }
 
-    /// Sets the emission of a backlight's pattern.
+    /// For the test patterns of a backlight, lights only the chosen lenslet or angular bin. Other
+    /// test patterns leave the emission unchanged.
     fn set_emission(self, display: &Display, stack: &mut LayerStack) -> Result<(), PatternError> {
         let (kind, at) = match self {
             Self::Lenslet(at) => ("lenslet", at),

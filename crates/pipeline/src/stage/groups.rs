@@ -62,7 +62,7 @@ mod tests {
         let all: Vec<usize> = (0..5 * views_at_once() + 1).collect();
         let mut squares = Vec::new();
         let one = |index: usize, &element: &usize, task: Task<'_>| {
-            // Later elements of a group finish earlier.
+            // The elements of a group finish out of order.
             std::thread::sleep(std::time::Duration::from_millis(3 * (all.len() - index) as u64 % 7));
             assert_eq!(index, element);
             task.warn(index.to_string(), "odd");

@@ -31,9 +31,10 @@ const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0]
 const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
 /// The front stays if it shows at least this fraction of the largest area.
 const FRONT_SHARE: f64 = 0.125;
-/// The same fraction as [`FRONT_SHARE`], but for captures. The axes of a capture come from
-/// training, so +z is not preferred. Two examples: A guitar that is edge-on to +z shows 0.69 of its
-/// largest area there, so another side is chosen. A person in profile shows 0.79, so +z stays.
+/// For captures, the front stays if it shows at least this fraction of the largest area. The axes
+/// of a capture come from training, so its front deserves no preference. Two examples: A guitar
+/// shows 0.69 of its largest area towards +z, so another side is chosen. A person in profile shows
+/// 0.79, so the front stays.
 const CAPTURE_SHARE: f64 = ENOUGH;
 /// A side is good enough if it shows at least this fraction of the largest area. A flat board shows
 /// most from the highest candidate elevation, 55°. From 40° it shows sin 40° / sin 55° = 0.78 of
