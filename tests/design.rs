@@ -191,9 +191,9 @@ fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
     };
     let (same, other) = (rms(&averaged, &display), rms(&point, &display));
     println!("averaged against rendered: {same:.4}, single slopes against that: {other:.4}");
-    // `same` is the difference of the views with `angular_filter = "display"` from averaged views,
-    // and `other` their difference from views of single slopes. The noise of 64 paths contributes
-    // 0.028 to each difference. If the filter did not average, or if the paths were not spread over
+    // `same` compares views with `angular_filter = "display"` with averaged views. `other` compares
+    // the same filtered views with views of single slopes. The noise of 64 paths contributes 0.028
+    // to each difference. If the filter did not average, or if the paths were not spread over
     // slopes, `same` would be larger than `other`.
     assert!(same < 0.75 * other && other > 0.03, "{same} {other}");
 }

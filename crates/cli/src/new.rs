@@ -126,8 +126,8 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
         let first = doc.split_inclusive(". ").next().unwrap_or(doc).trim();
         let _ = write!(text, "\n# {first}\n[[outputs]]\nplugin = {}\n", quoted(id));
         if id == "web_simulator" {
-            // The preview of a scene without a job file has the same name. Without a title the page
-            // would have the job's name.
+            // The output is named `preview`, as in runs of a scene without a job file. Without a
+            // title, the page would show the job's name.
             let title = scene.file_stem().unwrap_or_default().to_string_lossy();
             let _ = write!(
                 text,

@@ -194,7 +194,7 @@ pub(crate) fn tile_normals() -> Picture {
 }
 
 /// Returns the colours of the glazed tiles: two glazes with brush marks, a painted ring and dark
-/// joints. It tiles.
+/// joints. The picture repeats without seams.
 pub(crate) fn tile_colors() -> Picture {
     let (cream, teal, joint) = (rgb(214, 206, 186), rgb(74, 126, 128), rgb(70, 66, 62));
     paint(512, 512, 3, |u, v| {
