@@ -223,7 +223,7 @@ fn errors_of_the_start_end_it_with_one_message() {
     };
     for (options, message) in [
         (&["--show", "span", "--mouse"][..], "`window`, which has a pointer"),
-        (&["--head-mm", "0,0,-5"], "--head-mm"),
+        (&["--head-mm", "0,0,-5"], "--head-mm: Z: expected a number above 0, found -5"),
         (&["--device", "gpu:no such adapter"], if cfg!(feature = "gpu") { "no such adapter" } else { "feature `gpu`" }),
         (&["--solver", "none"], "none"),
     ] {

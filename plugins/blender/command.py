@@ -31,7 +31,10 @@ def main(words: list[str]) -> int:
     try:
         if asked.blend:
             bpy.ops.wm.open_mainfile(filepath=asked.blend, load_ui=False)
-        scene = bpy.data.scenes[asked.scene] if asked.scene else bpy.context.scene
+        scene = bpy.data.scenes.get(asked.scene) if asked.scene else bpy.context.scene
+        if scene is None:
+            names = ", ".join(each.name for each in bpy.data.scenes)
+            raise ValueError(f"--scene: expected one of the scenes {names}, found {asked.scene!r}")
         for name, value in asked.settings.items():
             setattr(scene.lumistack, name, value)
         for name, value in asked.scene_settings.items():
@@ -47,9 +50,6 @@ def main(words: list[str]) -> int:
     except KeyboardInterrupt:
         print("stopped; finished parts are kept", file=sys.stderr)
         return 130
-    except KeyError as error:
-        print(f"error: --scene: expected one of the scenes {', '.join(each.name for each in bpy.data.scenes)}, found {error}", file=sys.stderr)
-        return 1
     except (jobs.JobError, lumistack.Error, RuntimeError, TypeError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

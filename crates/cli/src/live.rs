@@ -132,13 +132,13 @@ impl Live {
     }
 
     fn check(&self) -> Result<(), PipelineError> {
-        let positive = |name, value: f64| match value.is_finite() && value > 0.0 {
+        let positive = |name, key, value: f64| match value.is_finite() && value > 0.0 {
             true => Ok(()),
-            false => Err(PipelineError::option(name, "value", "a number above 0", value.to_string())),
+            false => Err(PipelineError::option(name, key, "a number above 0", value.to_string())),
         };
-        positive("--rate", self.rate)?;
-        positive("--sigma-mm", self.sigma_mm)?;
-        positive("--head-mm", self.head_mm.0[2])?;
+        positive("--rate", "value", self.rate)?;
+        positive("--sigma-mm", "value", self.sigma_mm)?;
+        positive("--head-mm", "Z", self.head_mm.0[2])?;
         match &self.show {
             Some(mode) if self.mouse && mode != "window" => {
                 Err(PipelineError::option("--mouse", "--show", "`window`, which has a pointer", format!("`{mode}`")))

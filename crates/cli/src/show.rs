@@ -216,9 +216,10 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
     };
     set("hold", args.hold.map(Value::from));
     // For the presenter 0 means "not set", so the options refuse 0.
-    for (flag, value) in [("--duration-s", args.duration_s), ("--eye-mm", args.eye_mm.map(|eye| eye.0[2]))] {
+    let eye_z_mm = args.eye_mm.map(|eye| eye.0[2]);
+    for (flag, key, value) in [("--duration-s", "value", args.duration_s), ("--eye-mm", "Z", eye_z_mm)] {
         if let Some(found) = value.filter(|value| *value <= 0.0) {
-            return Err(PipelineError::value(flag, "value", "a number above 0", found.to_string()));
+            return Err(PipelineError::value(flag, key, "a number above 0", found.to_string()));
         }
     }
     set("duration_s", args.duration_s.map(Value::from));

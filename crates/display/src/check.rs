@@ -75,9 +75,10 @@ impl Display {
             if let Some((place, expected, found)) = layer.transfer.problem() {
                 check(false, &key(&format!("transfer.{place}")), expected, found)?;
             }
-            let one_curve = layer.bits.is_none() || !layer.transfer.is_per_channel();
-            let expected = "none, or a transfer function that all channels share (levels are the same for all)";
-            check(one_curve, &key("bits"), expected, format!("{:?}", layer.bits))?;
+            if let Some(bits) = layer.bits.filter(|_| layer.transfer.is_per_channel()) {
+                let expected = "none, or a transfer function that all channels share (levels are the same for all)";
+                check(false, &key("bits"), expected, bits.to_string())?;
+            }
             if let Some(resolution) = layer.panel_resolution {
                 pixels(&key("panel_resolution"), resolution)?;
             }

@@ -108,7 +108,9 @@ impl LayerStack {
         let expected = Self::emission_shape(display);
         let found = self.emission.as_ref().map(Tensor::shape);
         if expected != found {
-            return error("shape of the emission".into(), format!("{expected:?}"), format!("{found:?}"));
+            let text =
+                |shape: Option<_>| shape.map_or("no emission".to_owned(), |shape: [usize; 6]| format!("{shape:?}"));
+            return error("shape of the emission".into(), text(expected), text(found));
         }
         let parts = self.layers.iter().map(Tensor::data).chain(self.emission.as_ref().map(Tensor::data));
         for (i, data) in parts.enumerate() {

@@ -275,11 +275,12 @@ pub fn read_field_region(
     let mut source = source(folder)?;
     let (views, [width, height]) = (geometry.grid.views(), source.size);
     if source.views != views || rows.end > height || cols.end > width {
-        let text = |views: [usize; 2], [width, height]: [usize; 2]| {
-            format!("{} × {} views of {width} × {height} pixels", views[1], views[0])
+        let text = |[down, across]: [usize; 2], least: &str, [width, height]: [usize; 2]| {
+            format!("{across} × {down} views of {least}{width} × {height} pixels")
         };
-        let expected = text(views, [cols.end, rows.end]);
-        return Err(FieldError::malformed(folder.join(INDEX), "size", expected, text(source.views, source.size)));
+        let expected = text(views, "at least ", [cols.end, rows.end]);
+        let found = text(source.views, "", source.size);
+        return Err(FieldError::malformed(folder.join(INDEX), "size", expected, found));
     }
     let bad = |error: lumistack_display::GridError| {
         FieldError::malformed(folder.join(INDEX), error.what, error.expected, error.found)

@@ -250,7 +250,7 @@ fn pitch(
     })?;
     task.warn(
         place(path),
-        format!("its physical size is not known; a width of {width_mm} mm is used (--pitch-mm sets the pitch)"),
+        format!("its physical size is not known; a width of {width_mm:.2} mm is used (--pitch-mm sets the pitch)"),
     );
     Ok(width_mm / cols)
 }

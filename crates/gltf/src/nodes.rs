@@ -273,7 +273,7 @@ pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<
         return Err(Fault::new(
             format!("{place}/attributes"),
             "equal counts of TRANSLATION, ROTATION and SCALE",
-            format!("{counts:?}"),
+            counts.map(|count| count.map_or("none".to_owned(), |count| count.to_string())).join(", "),
         ));
     }
     // read the attributes, and combine them to one placement per copy

@@ -128,8 +128,12 @@ impl Services for MemoryHost {
     fn file_open(&self, path: &str) -> Result<u64, PluginError> {
         path_parts(path)?;
         let mut state = self.state();
-        if state.committed.contains_key(path) || state.open.values().any(|(open, _)| open == path) {
-            return Err(PluginError::Refused(format!("file `{path}` was already written")));
+        // Some disks do not distinguish upper and lower case, so no host does.
+        let same = |written: &String| written.to_lowercase() == path.to_lowercase();
+        if state.committed.keys().chain(state.open.values().map(|(open, _)| open)).any(same) {
+            return Err(PluginError::Refused(format!(
+                "file `{path}` was already written (names that differ only in case are one file)"
+            )));
         }
         if self.cancel.is_cancelled() {
             state.opened_after_cancel += 1;

@@ -164,7 +164,8 @@ pub(crate) fn value_of(place: &str, value: &Bound<'_, PyAny>) -> PyResult<Value>
         return float(place, value);
     }
     let found = value.get_type().name()?;
-    Err(PyTypeError::new_err(format!("expected a number, a text, a path, a mapping or a sequence, found {found}")))
+    let text = format!("{place}: expected a number, a text, a path, a mapping or a sequence, found {found}");
+    Err(PyTypeError::new_err(text))
 }
 
 fn integer(value: &Bound<'_, PyAny>) -> PyResult<Value> {

@@ -90,9 +90,12 @@ pub(crate) fn number(value: f64) -> String {
     minus(if text == "-0" { "0".into() } else { text.into() })
 }
 
-/// Formats a fraction as a percentage. A fraction below 1 gives at most 99.9 %, any other value
-/// 100 %.
+/// Formats a fraction as a percentage. A fraction below 1 gives at most 99.9 %, a larger number
+/// 100 %, and NaN "–".
 pub(crate) fn percent(share: f64) -> String {
+    if share.is_nan() {
+        return "–".into();
+    }
     if share < 1.0 { format!("{:.1} %", (share * 100.0).min(99.9)) } else { "100 %".into() }
 }
 
@@ -141,7 +144,7 @@ mod tests {
             ["20 ms", "0.5 s", "0.74 s", "50 s", "3 min 20 s"]
         );
         assert_eq!([0.9312, f64::NAN].map(similarity), ["0.931", "–"]);
-        assert_eq!([1.0, 0.99999, 0.913].map(percent), ["100 %", "99.9 %", "91.3 %"]);
+        assert_eq!([1.0, 0.99999, 0.913, f64::NAN].map(percent), ["100 %", "99.9 %", "91.3 %", "–"]);
     }
 
     #[test]

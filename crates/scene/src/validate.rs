@@ -266,16 +266,17 @@ impl SceneParts {
             // parameters outside of their range are clamped with a warning, since many files exceed
             // the ranges
             let clamp = |name: &str, value: &mut f32, low: f32, high: f32| -> Result<(), SceneError> {
+                let range = || match (low > 0.0 && low < 1.0, high < f32::MAX) {
+                    (true, _) => "a number above 0".to_owned(),
+                    (false, false) => format!("a finite number from {low}"),
+                    (false, true) => format!("a number from {low} to {high}"),
+                };
                 if value.is_nan() {
-                    return Err(SceneError::new(
-                        format!("{place} {name}"),
-                        format!("a number in {low}..{high}"),
-                        "NaN",
-                    ));
+                    return Err(SceneError::new(format!("{place} {name}"), range(), "NaN"));
                 }
                 if *value < low || *value > high {
                     let clamped = value.clamp(low, high);
-                    task.warn(&place, format!("{name} {value} is outside {low}..{high} and is taken as {clamped}"));
+                    task.warn(&place, format!("{name}: expected {}, found {value}; {clamped} is used", range()));
                     *value = clamped;
                 }
                 Ok(())

@@ -221,7 +221,7 @@ impl Work {
 
     /// Returns the warnings for the user since the last call. Equal texts are returned only once.
     pub fn warnings(&self) -> Vec<String> {
-        self.warnings.take().iter().map(ToString::to_string).collect()
+        self.warnings.take().iter().map(|warning| without_options(&warning.to_string())).collect()
     }
 
     /// Returns the finished fraction of the planned pieces, 0..1. It is 0 until the display is
@@ -500,4 +500,33 @@ fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
     pieces.extend((0..iterations).map(|_| Piece::Step));
     pieces.push_back(Piece::Finish);
     pieces
+}
+
+/// Returns a warning without the parentheses that name an option of the command, since a page has
+/// no options.
+fn without_options(warning: &str) -> String {
+    let mut left = warning.to_owned();
+    while let Some(start) = left.find(" (--")
+        && let Some(length) = left[start..].find(')')
+    {
+        left.replace_range(start..=start + length, "");
+    }
+    left
+}
+
+#[cfg(test)]
+mod tests {
+    use super::without_options;
+
+    #[test]
+    fn warnings_of_a_page_name_no_options() {
+        for (warning, expected) in [
+            ("a.npy: 20° × 20° (--fov sets the angles)", "a.npy: 20° × 20°"),
+            ("1 mm (--pitch-mm), 2 views (--grid)", "1 mm, 2 views"),
+            ("b (c): (--fov", "b (c): (--fov"),
+            ("b (c): d", "b (c): d"),
+        ] {
+            assert_eq!(without_options(warning), expected);
+        }
+    }
 }

@@ -60,19 +60,20 @@ impl Options {
             let text = || err(format!("options: {key}: expected {expected}, found {found}"));
             if ok { Ok(()) } else { Err(text()) }
         };
-        let positive = |value: Option<f64>| value.is_none_or(|value| value.is_finite() && value > 0.0);
-        expect(positive(options.gain), "gain", "a number above 0", format!("{:?}", options.gain))?;
+        for (key, value) in [("gain", options.gain), ("eye_distance_mm", options.eye_distance_mm)] {
+            let Some(value) = value else { continue };
+            expect(value.is_finite() && value > 0.0, key, "a number above 0", value.to_string())?;
+        }
         expect(options.gap_mm.is_finite(), "gap_mm", "a number", options.gap_mm.to_string())?;
         let shift = options.shift_mm;
         expect(shift.iter().all(|v| v.is_finite()), "shift_mm", "two numbers", format!("{shift:?}"))?;
         let black = options.black_level;
         expect((0.0..=1.0).contains(&black), "black_level", "0 to 1", black.to_string())?;
         expect((0.0..=100.0).contains(&options.pupil_mm), "pupil_mm", "0 to 100", options.pupil_mm.to_string())?;
-        let eye = options.eye_distance_mm;
-        expect(positive(eye), "eye_distance_mm", "a number above 0", format!("{eye:?}"))?;
-        let frame = options.frame;
-        let expected = format!("a frame from 0 to {}", frames.saturating_sub(1));
-        expect(frame.is_none_or(|frame| frame < frames), "frame", &expected, format!("{frame:?}"))?;
+        if let Some(frame) = options.frame {
+            let expected = format!("a frame from 0 to {}", frames.saturating_sub(1));
+            expect(frame < frames, "frame", &expected, frame.to_string())?;
+        }
         Ok(options)
     }
 

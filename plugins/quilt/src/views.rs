@@ -141,13 +141,13 @@ impl Source<'_> {
     }
 }
 
-/// Returns a warning with advice if a light field has another number of views per row, `available`,
-/// than the quilt, `count`.
+/// Returns a warning with advice if a light field of `available` views per row has no view at a
+/// position of a quilt with `count` views. Three of nine views have positions of views, for example.
 ///
 /// # Errors
-/// Under [`Missing::Refuse`] if the numbers differ.
+/// Under [`Missing::Refuse`] in this case.
 pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option<String>, PluginError> {
-    if available == count {
+    if places(count, available).iter().all(|place| (place - place.round()).abs() < SAME_PLACE) {
         return Ok(None);
     }
     let have = format!("views across: {available} in the light field, {count} in the quilt");
@@ -265,6 +265,17 @@ mod tests {
             assert!((slope_at(&slopes, place) - slope).abs() < 1e-12, "{place}");
         }
         assert_eq!(slope_at(&[0.1], -0.4), 0.1);
+    }
+
+    #[test]
+    fn only_positions_without_a_view_are_reported() {
+        for (available, count) in [(5, 5), (9, 3), (5, 1)] {
+            assert_eq!(advice(available, count, Missing::Refuse).unwrap(), None, "{available} views, {count} tiles");
+        }
+        for (available, count) in [(3, 6), (9, 4), (4, 1)] {
+            assert!(advice(available, count, Missing::Refuse).is_err(), "{available} views, {count} tiles");
+            assert!(advice(available, count, Missing::Blend).unwrap().is_some(), "{available} views, {count} tiles");
+        }
     }
 
     /// Returns a view whose left half is 0 and whose right half is 1.

@@ -300,9 +300,9 @@ fn picture_size(dpi: u32, n: usize, layer: &Layer) -> Result<[usize; 2], PluginE
     let printed = |count: usize| ((count as f64 * layer.pitch_mm / INCH_MM * f64::from(dpi)).round() as usize).max(1);
     let size = if dpi == 0 { layer.resolution } else { layer.resolution.map(printed) };
     if size.iter().any(|side| *side > SIDE_LIMIT) {
+        let (cause, [cols, rows]) = (if dpi == 0 { "display" } else { "parameter `dpi`" }, size);
         return Err(PluginError::Refused(format!(
-            "parameter `dpi`: expected pictures of at most {SIDE_LIMIT} pixels a side, found {} × {} for layer {n}",
-            size[0], size[1]
+            "{cause}: expected pictures of at most {SIDE_LIMIT} pixels a side, found {cols} × {rows} for layer {n}"
         )));
     }
     Ok(size)

@@ -75,7 +75,8 @@ fn damaged(path: &Path, error: &image::ImageError) -> FieldError {
 
 fn from_decoded(decoded: DynamicImage) -> Picture {
     let (cols, rows) = (decoded.width() as usize, decoded.height() as usize);
-    let has_alpha = decoded.color().has_alpha();
+    // Opaque pictures, for example of a screen, keep their code values.
+    let has_alpha = decoded.color().has_alpha() && !is_opaque(&decoded);
     let samples = match decoded {
         DynamicImage::ImageRgb32F(picture) => Samples::Linear(picture.into_raw()),
         DynamicImage::ImageRgba32F(picture) => Samples::Linear(over_black(picture.as_raw(), |v| v, 1.0)),
@@ -99,6 +100,16 @@ fn from_decoded(decoded: DynamicImage) -> Picture {
     Picture { cols, rows, samples }
 }
 
+fn is_opaque(picture: &DynamicImage) -> bool {
+    match picture {
+        DynamicImage::ImageLumaA8(picture) => picture.pixels().all(|pixel| pixel.0[1] == u8::MAX),
+        DynamicImage::ImageRgba8(picture) => picture.pixels().all(|pixel| pixel.0[3] == u8::MAX),
+        DynamicImage::ImageLumaA16(picture) => picture.pixels().all(|pixel| pixel.0[1] == u16::MAX),
+        DynamicImage::ImageRgba16(picture) => picture.pixels().all(|pixel| pixel.0[3] == u16::MAX),
+        _ => false,
+    }
+}
+
 fn decode_over(top: f32) -> impl Fn(f32) -> f32 {
     move |code| lumistack_core::colour::srgb_decode(code / top)
 }
@@ -119,6 +130,24 @@ mod tests {
         let picture = Picture::read(&path).unwrap();
         assert_eq!(picture.size(), [2, 1]);
         assert_eq!(picture.into_linear(), [0.2, 0.2, 0.2, 1.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn opaque_pictures_with_alpha_keep_their_codes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let read = |picture: DynamicImage| {
+            picture.save(&path).unwrap();
+            Picture::read(&path).unwrap()
+        };
+        let narrow = |alpha| image::RgbaImage::from_raw(1, 1, vec![9, 128, 255, alpha]).unwrap().into();
+        let plain = image::RgbImage::from_raw(1, 1, vec![9, 128, 255]).unwrap().into();
+        assert!(read(narrow(255)).is_encoded());
+        assert!(!read(narrow(254)).is_encoded());
+        assert_eq!(read(narrow(255)).into_linear(), read(plain).into_linear());
+        let wide = |alpha| DynamicImage::ImageLumaA16(image::ImageBuffer::from_raw(1, 1, vec![40_000, alpha]).unwrap());
+        assert!(read(wide(u16::MAX)).is_encoded());
+        assert!(!read(wide(0)).is_encoded());
     }
 
     #[test]

@@ -52,7 +52,7 @@ impl Picture {
     }
 
     /// Returns true if the picture has sRGB code values, which are clipped at white. Returns false
-    /// if it has linear values: radiance, or code values that were composited by their alpha.
+    /// if it has linear values: radiance, or code values that were composited by an alpha below 1.
     pub fn is_encoded(&self) -> bool {
         !matches!(self.samples, Samples::Linear(_))
     }

@@ -1,6 +1,6 @@
 //! Changes of single keys of a job.
 
-use lumistack_core::config::nearest;
+use lumistack_core::config::{nearest, plain};
 use serde_json::{Map, Value};
 
 use crate::error::PipelineError;
@@ -60,8 +60,9 @@ fn wrong_value(key: &str, message: &str, found: String) -> PipelineError {
             nearest(last, names.iter().copied()).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
         return PipelineError::job(key, format!("one of the keys {}", names.join(", ")), format!("an {unknown}{hint}"));
     }
-    let expected = message.rsplit_once(", expected ").map_or(message, |(_, expected)| expected);
-    PipelineError::job(key, expected, found)
+    let message = plain(message, last);
+    let expected = message.strip_prefix("expected ").and_then(|rest| rest.rsplit_once(", found "));
+    PipelineError::job(key, expected.map_or(&message[..], |(expected, _)| expected), found)
 }
 
 #[cfg(test)]
@@ -86,7 +87,7 @@ mod tests {
         for (key, value, expected) in [
             ("display.brightnes", json!(0.3), "display.brightnes: expected one of the keys "),
             ("display.brightnes", json!(0.3), "did you mean `brightness`?"),
-            ("display.brightness", json!("much"), "display.brightness: expected f64, found \"much\""),
+            ("display.brightness", json!("much"), "display.brightness: expected a number, found \"much\""),
             ("display.brightness", json!(3.0), "brightness"),
             ("seed.x", json!(1), "seed.x: expected a key in a table of the job"),
             ("scene", Value::Null, "scene: expected"),

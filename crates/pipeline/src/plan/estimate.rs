@@ -36,6 +36,7 @@ use crate::stage::groups::views_at_once;
 use crate::stage::node::is_factorized;
 use crate::stage::output::stage_name;
 use crate::stage::samples;
+use crate::stage::score::paths_per_pixel;
 use crate::stage::tiles::Tiles;
 use crate::store::files::{read_json, write_json};
 use crate::store::key::{KeyBuilder, content_hash};
@@ -46,9 +47,6 @@ use crate::store::stamps::Stamps;
 const FILE: &str = "cache/steps.json";
 /// Number of hexadecimal digits that a plan shows of a key.
 const DIGITS: usize = 16;
-/// Mean number of rays per pixel that a zone score with 64 directions traces for a direction. The
-/// number includes the rays of both renders of the direction.
-const SCORE_SAMPLES: f64 = 6.5;
 
 /// Record of an executed step.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -419,8 +417,8 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
         }
         StepKind::Denoise | StepKind::Expose => sizes.pixels * (sizes.views + sizes.others),
         StepKind::Score => {
-            let samples = if is_capture { 1.0 } else { SCORE_SAMPLES };
-            sizes.pixels * job.report.zone_directions as f64 * samples
+            let directions = job.report.zone_directions;
+            sizes.pixels * if is_capture { directions as f64 } else { paths_per_pixel(directions) as f64 }
         }
         StepKind::Patterns => {
             let iterations = job.factorize.iterations().max(1) + warm_up_iterations(plan, step.part);

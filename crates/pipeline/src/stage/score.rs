@@ -68,6 +68,16 @@ pub(crate) fn zone_of(job: &Job, display: &Display, geometry: &FieldGeometry) ->
     Zone::Eyes(job.factorize.eye_boxes())
 }
 
+/// Returns the number of paths per pixel, over all directions of a score.
+pub(crate) fn paths_per_pixel(directions: usize) -> u64 {
+    (0..directions).map(|i| u64::from(samples(i))).sum()
+}
+
+/// Returns the number of samples per pixel of a direction, over its two pictures.
+fn samples(direction: usize) -> u32 {
+    SAMPLES[usize::from(direction >= CLEAN)]
+}
+
 impl References {
     /// Traces the pictures of a block that are not cached. Returns `None` if the job requests no
     /// score, or if Blender renders, whose seeds cannot be chosen. The traced pictures do not
@@ -127,7 +137,7 @@ impl References {
         task.progress.begin("render for the score", steps, "tiles");
         let one = |_: usize, &(i, half): &(usize, usize), task: Task<'_>| {
             let settings = Settings {
-                samples: SAMPLES[usize::from(i >= CLEAN)] / 2,
+                samples: samples(i) / 2,
                 max_bounces: job.render.max_bounces,
                 // Samples are not clamped, since clamped references would lack light.
                 clamp: None,
