@@ -1,10 +1,11 @@
-//! Reports what a scene's file lacks: a camera, or lights. Many exporters leave both out by
-//! default, so a user may not expect the replacements.
+//! Reports that a scene's file lacks a camera or lights. Many exporters omit cameras and lights by
+//! default, so a user may not expect the view and the light that replace them.
 
 use std::path::Path;
 
-/// Returns sentences about the camera and the lights that a scene's file lacks, each with the
-/// replacement and the option that changes it.
+/// Returns a sentence for a missing camera and a sentence for missing lights. Each states the
+/// replacement and the option that changes it. For a glTF file that lacks any of them, a last
+/// sentence names the settings of Blender's export.
 pub fn lacking(path: &Path, no_camera: bool, no_lights: bool) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     if no_camera {

@@ -54,8 +54,8 @@ pub struct RunComparison {
 
 /// Compares two run folders whose light fields have the same pixels.
 ///
-/// If `out` is given, writes seen pictures of both runs from the left, the middle and the right,
-/// and their differences, into that folder.
+/// If `out` is given, writes pictures from the left, the middle and the right into that folder.
+/// Each picture shows the target, if there is one, both runs and their difference.
 ///
 /// # Errors
 /// If a run cannot be read, or the pixels differ.

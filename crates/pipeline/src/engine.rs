@@ -1,9 +1,9 @@
-//! Chooses our path tracer for a `.blend` file before the plan of a run is made.
+//! Converts a `.blend` file before the plan of a run is made, and chooses our path tracer if the
+//! conversion loses nothing.
 //!
 //! Settings with the value `auto` depend on the engine. Blender takes minutes per view, so a
 //! display chooses few views if Blender may render them, and light is not shared between views.
-//! Which engine `auto` selects depends on the converted scene. So the file is converted first, and
-//! the plan gets the settings of the engine that renders.
+//! If the conversion loses nothing, the plan gets the settings for our path tracer.
 
 use std::path::Path;
 
@@ -15,9 +15,9 @@ use crate::job::{Engine, Job};
 use crate::reader::is_blend;
 use crate::store::handover;
 
-/// Returns the job with the engine `lumistack` if `auto` selects this engine, since the conversion
-/// of the job's `.blend` file loses nothing. Otherwise returns the job as it is. `cache_dir` is the
-/// folder in which the run caches the conversion.
+/// If the job's engine is `auto`, converts its `.blend` file. If the conversion loses nothing,
+/// returns the job with the engine `lumistack`. In all other cases returns the job as it is.
+/// `cache_dir` is the folder in which the run caches the conversion.
 ///
 /// # Errors
 /// If the job is wrong, or Blender does not convert the file.

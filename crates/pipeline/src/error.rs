@@ -98,7 +98,7 @@ pub enum PipelineError {
     },
     /// An input is among the files that the output would replace.
     #[error(
-        "{}: expected a {role} outside of the output, found it among the files that are written into {}; choose another folder with -o",
+        "{}: expected the {role} outside of the output, found it among the files that are written into {}; choose another folder with -o",
         input.display(), folder.display()
     )]
     Overwrites {
@@ -242,7 +242,7 @@ impl From<Cancelled> for PipelineError {
 }
 
 impl PipelineError {
-    /// Returns an error for a wrong value of a file.
+    /// Returns an error for a wrong value. `place` is a file or another origin of the value.
     pub fn value(
         place: impl Into<Place>,
         key: impl Into<String>,

@@ -189,15 +189,16 @@ pub fn farm_plan(
 }
 
 /// Executes a unit of the plan in a run folder. If the unit is already done, the function returns
-/// immediately. The last unit is never skipped, since it checks the whole run.
+/// immediately. The last unit is never skipped, since it runs the whole job.
 ///
 /// `maps` are pairs of folders, on the planning machine and on this machine, by which the job's
 /// paths are mapped. A unit waits up to `patience` for its input units, since a network file system
 /// may show files late.
 ///
 /// # Errors
-/// If the worker's code differs from the code that planned the run, or an input unit is not done in
-/// time. Also if another process holds the folder's lock, or the work fails or is cancelled.
+/// If the folder has no plan, the plan has no such unit, or other code planned the run. Also if an
+/// input unit is not done in time, another process holds the folder's lock, or the work fails or is
+/// cancelled.
 pub fn farm_unit(
     dir: &Path,
     id: &str,
@@ -218,7 +219,7 @@ pub fn farm_unit(
         return Err(PipelineError::value(dir, "unit", "the id of a unit of the plan", format!("`{id}`")));
     };
     // A farm manager may execute a unit twice. The second execution returns the record of the
-    // first.
+    // first execution, except for the last unit.
     let is_last = unit.id == FINISH;
     let before = || farm.done(dir, id).filter(|_| !is_last).map(|done| UnitDone { cached: true, ..done });
     if let Some(done) = before() {

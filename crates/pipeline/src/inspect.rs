@@ -9,7 +9,7 @@ use lumistack_plugin_host::{Kind, Origin, Param, PluginInfo, Registry};
 
 use crate::error::{PipelineError, field_error};
 
-/// Describes a light field of any file format.
+/// Describes the light field in a file or folder.
 ///
 /// # Errors
 /// If it cannot be read.
@@ -37,7 +37,7 @@ pub fn plugins(paths: &[PathBuf]) -> Result<Registry, PipelineError> {
 /// returns all plugins, and the errors of libraries that could not be loaded.
 ///
 /// # Errors
-/// If no plugin has one of the ids, or the library of such a plugin cannot be used.
+/// If an id belongs to no plugin, or to a plugin whose library cannot be used.
 pub fn plugin_list(registry: &Registry, ids: &[String]) -> Result<serde_json::Value, PipelineError> {
     let plugins = chosen(registry, ids)?.into_iter().map(|(info, origin)| {
         let mut plugin = serde_json::to_value(info).expect("descriptions serialize");

@@ -84,7 +84,7 @@ pub struct Job {
     /// Settings of the factorizer.
     #[serde(default)]
     pub factorize: FactorizeJob,
-    /// Time steps of a sequence; without it the job is a still.
+    /// Time steps of a sequence. Without this table the job is a still.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sequence: Option<SequenceJob>,
     /// Designs to compare, for `lumistack sweep`.
@@ -131,7 +131,7 @@ pub struct PoseJob {
     /// Name or number of glTF's material variant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub variant: Option<String>,
-    /// USD's variants: `set=variant` for every prim that has them, `/prim{set=variant}` for one
+    /// USD's variants: `set=variant` for every prim with this variant, `/prim{set=variant}` for one
     /// prim.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub variants: Vec<String>,
@@ -314,9 +314,9 @@ impl Job {
     }
 
     /// Returns true if noisy pixels of the views get [further
-    /// paths](lumistack_pathtracer::Settings::further_paths). Views get them if they share light
-    /// and their number is fixed, since users may look at each fixed view alone. If a display
-    /// chooses its views, the solver averages the noise that further paths would remove.
+    /// paths](lumistack_pathtracer::Settings::further_paths). Only fixed views that share light get
+    /// further paths, since users may look at each fixed view alone. If a display chooses its
+    /// views, the solver averages the noise that further paths would remove.
     pub(crate) fn has_further_paths(&self, display: &Display) -> bool {
         self.denoise_for(display) == Denoise::Shared && matches!(display.field.views, Views::Fixed(_))
     }
@@ -403,7 +403,8 @@ impl Job {
     /// Checks that names of nodes and outputs are unique, and that every output's input exists.
     fn check_graph(&self) -> Result<(), PipelineError> {
         let fail = |key: String, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
-        // Names of nodes are names of folders, so they must be unique and valid on every system.
+        // Names of nodes are names of folders, so they must be unique, and have only characters
+        // that are allowed on every system.
         let mut ids: Vec<&str> = Vec::new();
         for (i, node) in self.nodes.iter().enumerate() {
             if !is_folder_name(&node.id) || node.id == OutputJob::LIGHT_FIELD || ids.contains(&node.id.as_str()) {
@@ -476,7 +477,8 @@ impl Job {
     }
 }
 
-/// Returns true if a text is a valid folder name on every system.
+/// Returns true if a text has 1 to 100 characters, all of which every system allows in names of
+/// folders.
 fn is_folder_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= 100 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
 }

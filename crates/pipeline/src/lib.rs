@@ -6,12 +6,12 @@
 //! ```
 //!
 //! A name with a slash is a folder of the run. The other names after `job.toml` are stages
-//! (`stage/`). The plan of a job (`plan/`) lists stages as steps, which work in a run folder
-//! (`store/`).
+//! (`stage/`); `render` stands for the stages place, trace, denoise and expose. The plan of a job
+//! (`plan/`) lists stages as steps, which work in a run folder (`store/`).
 //!
 //! * A job with `[[nodes]]` solves several displays for one light field. The folder `nodes/ID/` has
 //!   the patterns and the report of one display.
-//! * A sequence has these stages for each time step. The solver starts a time step from the
+//! * A sequence has the stages above for each time step. The solver starts a time step from the
 //!   patterns of the previous time step, unless a fresh start is better.
 //! * A sweep solves many designs, for the light fields of a still, a sequence or a graph.
 //!

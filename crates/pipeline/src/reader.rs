@@ -47,7 +47,8 @@ pub(crate) fn own_reader(path: &Path) -> Option<Reader> {
     is_blend(path).then_some(Reader::Blend)
 }
 
-/// Returns the reader of a job's scene: the job's importer, a built-in reader, or a plugin.
+/// Returns the reader of a job's scene: the job's importer, or else the built-in reader or the
+/// plugin for the file's extension.
 ///
 /// # Errors
 /// If the importer does not exist, or no reader reads files with this extension.

@@ -36,8 +36,8 @@ pub struct Summary {
     /// Zone score: PSNR of seen pictures over the viewing zone, dB. `None` for a sequence, and
     /// without reference pictures.
     pub psnr_zone: Option<f64>,
-    /// PSNR of seen pictures over the worst tenth of the directions, dB. `None` also for a job with
-    /// nodes.
+    /// PSNR of seen pictures over the worst tenth of the directions, dB. `None` if `psnr_zone` is
+    /// `None`, and for a job with nodes.
     pub psnr_zone_worst: Option<f64>,
     /// PSNR of the emitted light field L̃/β against the target L, at the solver's views, dB.
     pub psnr_view: f64,
@@ -46,10 +46,10 @@ pub struct Summary {
     /// PSNR of the emitted light L̃/β against the scene's light L at held-out views, dB.
     pub psnr_held_out: Option<f64>,
     /// PSNR of the emitted light L̃/β against the scene's light L at views outside the viewing
-    /// zone, dB. `None` also for a job with nodes.
+    /// zone, dB. `None` for a sequence, for a job with nodes, and without such views.
     pub psnr_outside: Option<f64>,
-    /// Results of each node, if the job has nodes. The scores above are the scores of the first
-    /// node.
+    /// Results of each node, if the job has nodes. The other scores are then the scores of the
+    /// first node.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeSummary>,
     /// The scene's depth compared with the display's depth of field, as in report.json. `None` for
@@ -58,7 +58,7 @@ pub struct Summary {
     /// A sentence that describes `depth`.
     #[serde(skip)]
     pub depth_sentence: Option<String>,
-    /// Sentences about the camera and the lights that the scene's file lacks, as of
+    /// Sentences about the camera and the lights that the scene's file lacks, from
     /// [`lacking`](crate::lacking).
     #[serde(skip)]
     pub lacking: Vec<String>,
@@ -182,7 +182,8 @@ pub fn run_step(
 }
 
 /// Solves the designs of a job with `[sweep]` into `dir`: all designs, or the designs that a search
-/// selects. A row of the table has the scores over all time steps, and the scores of every node.
+/// selects. The resulting table has a row per design, with its scores over all time steps and the
+/// scores of every node.
 ///
 /// # Errors
 /// If a design is wrong, or a stage fails or is cancelled. Finished designs are kept, and the next

@@ -1,8 +1,9 @@
 //! JSON Schemas of job and display files, for completion and checks in editors.
 //!
 //! Structure, defaults and descriptions come from the types that read the files. Parameters of
-//! plugins come from the declarations of the plugins. Ranges of values are in the schema only for
-//! parameters of plugins. For all other keys, only the program checks ranges.
+//! plugins come from the declarations of the plugins, with their ranges. For all other keys, the
+//! schema states no range, except the minimum 0 of unsigned integers. The program checks the
+//! ranges of these keys.
 
 use lumistack_display::Display;
 use lumistack_plugin_host::{Kind, Param, PluginInfo, Registry};

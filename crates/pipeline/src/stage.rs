@@ -199,7 +199,6 @@ mod tests {
     use super::*;
     use crate::{DisplayJob, ZoneSamples};
 
-    /// All stages.
     const STAGES: [&StageInfo; 14] = [
         &INGEST, &PLACE, &TRACE, &DENOISE, &EXPOSE, &SCORE, &READ, &SOURCE, &FACTORIZE, &NODE, &OUTPUT, &MEASURE,
         &DESIGN, &REPORT,

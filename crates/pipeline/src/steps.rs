@@ -41,8 +41,9 @@ pub struct RenderedField {
 
 /// Renders the views of a scene that a display needs, and the pictures for its zone score.
 ///
-/// Uses `window`, `light`, `render`, `seed` and `report.zone_directions` of the job. Held-out views
-/// and views outside the zone are not rendered. Traced views are cached in `cache_dir`.
+/// Uses `window`, `light`, `render`, `seed`, `factorize.eyes` and `report.zone_directions` of the
+/// job. Held-out views and views outside the zone are not rendered. Traced views are cached in
+/// `cache_dir`.
 ///
 /// # Errors
 /// If a value is invalid, or rendering fails or is cancelled.
@@ -203,7 +204,7 @@ pub struct ReportOn<'a> {
 /// Writes `report.html` and `report.json` into `folder`. Returns the content of `report.json`.
 ///
 /// # Errors
-/// If the input does not match, a file cannot be written, or the task is cancelled.
+/// If the data in `on` do not match each other, a file cannot be written, or the task is cancelled.
 pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
     check_folder(folder)?;
     // Values outside 0..1 may dominate all scores, so the report must warn about them.

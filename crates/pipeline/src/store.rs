@@ -6,7 +6,7 @@
 //! files      atomic writes                       settings       sealed job.toml and display.toml
 //! lock       one owner of a folder at a time     names          names of the files of a run
 //! folder     locks a folder for a job            left_overs     files of killed runs
-//! used       files that the last run used        clean          removes all other files
+//! used       files that the last run used        clean          removes other cached files
 //! handover   scenes that Blender exported        plugin_files   files in parameters of plugins
 //! farm       finished units of work
 //! ```

@@ -8,8 +8,8 @@
 //!
 //! `cargo xtask gallery` calls `render`, then Blender, then `page`. A file's folder in OUT contains
 //! `ours.json`, `covered-ours.npy` and, if the scene has an environment, `environment.exr`. The
-//! folder's renders `ours-a.exr` and `ours-b.exr` have half of the samples each, so their noise is
-//! independent.
+//! folder's renders `ours-a.exr` and `ours-b.exr` have half of the samples each, and different
+//! seeds, so their noise is independent.
 
 mod compare;
 mod page;

@@ -169,8 +169,8 @@ pub(super) fn save(path: &Path, panes: Vec<Vec<f32>>, [rows, cols]: [usize; 2]) 
 mod tests {
     use super::*;
 
-    /// Two folders above a run there may be a folder `target` of other work. Only a node has its
-    /// target there. The file is damaged, so reading it is an error.
+    /// A node finds the target of its run two folders above. Other runs must not read a folder
+    /// `target` there. The test damages the target's index, so an error shows that it was read.
     #[test]
     fn only_a_node_has_the_target_of_the_run_around_it() {
         let folder = tempfile::tempdir().unwrap();

@@ -16,10 +16,10 @@
 //! H ∝ diag(f, f, 1) [r_1 r_2 t],      eye = −Rᵀ t
 //! ```
 //!
-//! where r_1 and r_2 are the x and y axes of the display in the camera's frame, which are
-//! orthonormalized. R has the columns r_1, r_2 and r_3, the display's z axis. The display's centre
-//! is at t in the camera's frame. Source: Zhang, "A Flexible New Technique for Camera Calibration"
-//! (2000), section 3.1.
+//! Here r_1 and r_2 are the display's x and y axes in the camera's frame; they are orthonormalized.
+//! The columns of R are r_1, r_2 and the display's z axis r_3. The display's centre is at t in the
+//! camera's frame. Source: Zhang, "A Flexible New Technique for Camera Calibration" (2000), section
+//! 3.1.
 
 use std::path::{Path, PathBuf};
 

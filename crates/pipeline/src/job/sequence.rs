@@ -13,8 +13,8 @@ pub struct SequenceJob {
     /// Number of time steps. Default: one for every light field in the folder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub times: Option<usize>,
-    /// Iterations at every time step after the first. The first time step has no warm start, so it
-    /// takes `factorize.iterations`.
+    /// Iterations at every time step after the first. The first time step takes
+    /// `factorize.iterations`.
     pub iterations: u32,
     /// Angle by which the window turns about its vertical axis from the first time step to the
     /// last, degrees. With a positive angle, the scene looks as if the viewer walked to the right.

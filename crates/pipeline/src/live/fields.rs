@@ -5,9 +5,10 @@
 //! read ───────────────────────────────────────────────▶ Target
 //! ```
 //!
-//! While the scene moves, the window, exposure and tone curve of the first time step stay. The
-//! window is placed anew if one of its settings or a camera of the scene changes. Exposure and tone
-//! curve are chosen anew if one of their settings or a file changes.
+//! While the scene moves, window, exposure and tone curve stay unchanged. The window is placed anew
+//! if one of its settings, the display or a camera of the scene changes. Exposure and tone curve
+//! are chosen anew if one of their settings or a file changes.
+//!
 //! Displays get at most 49 automatic views, since all views must be traced before the first
 //! picture.
 
@@ -39,7 +40,7 @@ pub struct LiveFields {
     job: Job,
     display: Arc<Display>,
     cache: PathBuf,
-    /// Each result has the key of the inputs that it was made from.
+    /// The loaded scene. It has a key of its inputs, as the next three results have.
     scene: Option<(Value, Arc<Ingested>)>,
     placement: Option<(Value, Placement)>,
     views: Option<(Value, Progressive)>,
@@ -175,8 +176,8 @@ impl LiveFields {
             self.views = Some((key_of_views, Progressive::new(shot, task)?));
         }
         let Some((_, views)) = &mut self.views else { return Ok(None) };
-        // If only the exposure changed, or the display has the same rays as before, expose the
-        // paths that are traced so far. The next call traces more.
+        // If a setting changed, but the traced paths are still valid, expose the paths that are
+        // traced so far. The next call traces more.
         let traced = if is_new && views.passes > 0 { false } else { views.pass(shot, task)? };
         if !(traced || is_new) {
             return Ok(None);

@@ -34,7 +34,6 @@ pub(super) struct Progressive {
     pub(super) passes: u32,
 }
 
-/// One view.
 #[derive(Default)]
 struct View {
     place: [usize; 2],
@@ -154,8 +153,8 @@ impl View {
         samples: u32,
         task: Task<'_>,
     ) -> Result<(), PipelineError> {
-        // Another seed gives other paths than in the earlier passes. The setting `further_paths`
-        // would delay the passes.
+        // Another seed gives other paths than in the earlier passes. No pixel gets further paths,
+        // since they would delay the passes.
         let settings = lumistack_pathtracer::Settings {
             samples,
             further_paths: false,

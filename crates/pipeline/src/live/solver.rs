@@ -39,8 +39,8 @@ impl LiveSolver {
         let settings = solver_settings(&job.factorize, job.seed)?;
         let device = &job.factorize.device;
         // The search for graphics processors takes longer than a step, so `auto` searches only
-        // once. A device that the job names is open already, unless it failed, so
-        // `SolverDevice::of` returns it immediately.
+        // once. If the job names a device, `SolverDevice::of` returns the open device immediately.
+        // It opens a device only if the name is new or the device has failed.
         if device != "auto" || self.device != "auto" {
             self.site = SolverDevice::of(device)?;
             self.device.clone_from(device);

@@ -8,9 +8,9 @@
 //! ```
 //!
 //! A stamp identifies a result by the content of its inputs, which exists only after the earlier
-//! stages. The keys of this file need only the job and the files that the job names. A run writes
-//! the keys to `cache/steps.json`, where the next plan finds which results are current. The run
-//! also writes the time of each step, and the files of the scene.
+//! stages. The keys of this file need only the job, the files that it names, and the scene's files
+//! that the last run listed. A run writes the keys to `cache/steps.json`, where the next plan finds
+//! which results are current. The run also writes the time of each step, and the scene's files.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -45,7 +45,7 @@ use crate::store::stamps::Stamps;
 
 /// File with the [`Record`] of every executed step, relative to the run folder.
 const FILE: &str = "cache/steps.json";
-/// Number of hexadecimal digits that a plan shows of a key.
+/// Number of hexadecimal digits of a key in a plan.
 const DIGITS: usize = 16;
 
 /// Record of an executed step.
@@ -403,7 +403,7 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     // Each ray through splats has no noise, so one ray per pixel is enough.
     let is_capture = job.scene.as_deref().is_some_and(is_capture);
     let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
-    // Count paths, rays or solver updates, in the unit of the stage.
+    // Count the units of the step's stage.
     match step.kind {
         StepKind::Ingest => 1.0,
         StepKind::Place => PLACE + MEASURED_TIMES * sizes.measured_paths,
@@ -448,8 +448,8 @@ fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
 
 /// Returns the number of multiply-adds that take as long as one unit of a stage's work. The number
 /// includes memory accesses. The numbers were measured with the jobs of `scenes` and with
-/// FlightHelmet, on two cores. The time of a scene is mostly between a third of the estimate and
-/// the estimate. The paths of glass and of many lights take longer.
+/// FlightHelmet, on two cores. Most scenes take between a third of the estimated time and all of
+/// it. Scenes with glass or with many lights take longer.
 fn cost(stage: &str) -> f64 {
     match stage {
         "ingest" => 1e8,
@@ -465,7 +465,8 @@ fn cost(stage: &str) -> f64 {
 
 /// Bytes of a pixel: three floats.
 const RGB: f64 = 12.0;
-/// Bytes of the rays from which an exposure is chosen; the program has two copies of them.
+/// Bytes of the rays from which an exposure is chosen. The program has two copies of these rays;
+/// the number includes both.
 const EXPOSURE: f64 = (64 << 20) as f64;
 /// Bytes of the program itself: its code, libraries and threads, and memory that the allocator
 /// keeps.
@@ -544,9 +545,9 @@ fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     (kept + of_step) as u64
 }
 
-/// Measures the rate of multiply-adds of one thread in a few milliseconds, and returns the rate of
-/// all threads. The fastest of several short rounds counts, since in others the processor may do
-/// other work. Rounds of all threads together would be interrupted more often.
+/// Measures the rate of multiply-adds of one thread in a few milliseconds, and multiplies it by the
+/// number of threads. The fastest of several short rounds counts, since other work may interrupt a
+/// round. Only one thread is measured, since rounds of all threads would be interrupted more often.
 fn multiply_adds_per_second() -> f64 {
     const ROUNDS: usize = 16;
     const STEPS: u32 = 1 << 16;

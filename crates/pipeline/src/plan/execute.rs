@@ -208,7 +208,8 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Locks the folder of a part, since a run of the part alone may use that folder.
+    /// Locks the folder of a part and the folders around it, since another process may run such a
+    /// folder's job alone. The caller has locked the run folder.
     fn enter(&mut self, part: usize) -> Result<(), PipelineError> {
         let of_part = &self.context.plan.parts[part];
         let Some(parent) = of_part.parent else { return Ok(()) };

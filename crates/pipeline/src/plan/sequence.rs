@@ -1,5 +1,6 @@
 //! Steps of a sequence: one run folder per time step. A time step has a warm start from the
-//! previous one, unless it is the first, begins a chunk, or solves better without a warm start.
+//! previous one, with three exceptions: the first time step, a time step that begins a chunk, and a
+//! time step for which a fresh start is better, for example after a cut.
 //!
 //! ```text
 //! job ─▶ t0001/ ─layers─▶ t0002/ ─layers─▶ t0003/ ─▶ ...      each folder holds the job of a still
@@ -7,8 +8,7 @@
 //! ```
 //!
 //! A time step of a job with nodes is a graph, in folders such as t0001/nodes/ID, with a warm start
-//! for each node. A warm start does not help after a cut, for example.
-//! [`Times::job`](super::times::Times::job) makes the job of a time step.
+//! for each node. [`Times::job`](super::times::Times::job) makes the job of a time step.
 //!
 //! Chunks break the chain of warm starts, so that several machines can solve them in parallel.
 //! Before the first time step of a chunk, some earlier time steps are solved again, and the chunk
@@ -40,7 +40,7 @@ pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Resu
         let place = plan.add_step(part, StepKind::Place, vec![ingest.clone()]);
         [ingest, place]
     });
-    // Every time step is a part with a job, and depends on the previous time step.
+    // Every time step is a part with a job, and depends on earlier time steps.
     let reports = sequence.reports && !fields_only;
     let (mut fields, mut ends) = (Vec::<String>::new(), Vec::new());
     for time in 0..times.count() {

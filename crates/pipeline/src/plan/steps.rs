@@ -19,7 +19,7 @@ pub struct Plan {
     /// The run folder.
     #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub folder: PathBuf,
-    /// The steps, in an order in which each comes after its inputs.
+    /// The steps; each comes after its inputs.
     pub steps: Vec<Step>,
     #[serde(skip)]
     pub(crate) parts: Vec<Part>,
@@ -39,8 +39,8 @@ pub struct Step {
     pub inputs: Vec<String>,
     /// Files and folders that this step writes, relative to its folder.
     pub writes: &'static [&'static str],
-    /// Hash of everything that the result depends on: equal keys give equal results. `None` if the
-    /// key contains the list of the scene's files, which only a run finds.
+    /// Hash of everything that the result depends on: equal keys give equal results. `None` if an
+    /// input is not known yet or cannot be read. For example, only a run finds the scene's files.
     pub key: Option<String>,
     /// True if the run folder has the current result; `None` if only a run can find out.
     pub cached: Option<bool>,
@@ -121,7 +121,7 @@ impl Plan {
         self.parts.len() - 1
     }
 
-    /// Adds a step after its inputs. Returns its id.
+    /// Adds a step, whose inputs the plan must already have. Returns the id of the step.
     pub(crate) fn add_step(&mut self, part: usize, kind: StepKind, inputs: Vec<String>) -> String {
         let Part { folder, job, .. } = &self.parts[part];
         let info = self.stage_of(part, kind);

@@ -1,5 +1,5 @@
-//! Sweeps: zone score and brightness of many designs over layers, frames, β, gaps, fields of view
-//! and lenslets.
+//! Sweeps: they solve many designs, which differ in layers, frames, β, gaps, fields of view or
+//! lenslets, and list the scores of each design.
 //!
 //! ```text
 //! job + [sweep] ─▶ designs ─┬─ by light field ─▶ fields/1/target ─┬─▶ designs/KEY.json
@@ -9,8 +9,8 @@
 //!
 //! A sweep of a sequence has a light field per time step, `fields/1/t0001/target`. The file of a
 //! design is written atomically, and its name contains a key of everything that the file depends
-//! on. Therefore a killed sweep continues with the finished designs, and its table has the same
-//! bytes in the end.
+//! on. Therefore a killed sweep continues with the finished designs. Its table then has the bytes
+//! of a sweep that was not killed.
 //!
 //! Designs are solved in parallel, since a small design does not use all threads.
 
@@ -151,7 +151,7 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
         fields.push(parts);
         inputs.push(ids);
     }
-    // A search decides which designs it solves while it works, so it is one step.
+    // While a search works, it decides which designs it solves. So the search is one step.
     let ends = match sweep.search {
         Some(_) => vec![plan.add_step(root, StepKind::Search, inputs.concat())],
         None => {
@@ -214,7 +214,7 @@ pub(crate) fn execute(
     let which = job.sweep.as_ref().map(|sweep| sweep.plots).unwrap_or_default();
     let (plots, more_plots) = table::plots(&rows, which).map_err(PipelineError::Plot)?;
     let plots = write_plots(&dir.join("plots"), &plots)?;
-    // Remove light fields of older settings.
+    // Record the used light fields and rows, and remove all other light fields.
     let used_fields = designs.fields.iter().enumerate().filter(|(_, parts)| !parts.is_empty());
     let used_rows = sweep.used.into_inner().unwrap_or_else(PoisonError::into_inner);
     used::keep_only_fields(dir, used_fields.map(|(number, _)| number + 1), used_rows)?;

@@ -29,8 +29,10 @@ use crate::stage::node::is_factorized;
 /// | 1 | extrapolated | 45.3 | 45.3 |
 ///
 /// If there are more than 8 to 12 iterations, extrapolation gives a higher PSNR, but no better
-/// flicker score. Patterns that are moved with the content are a start that is 4 dB better. But the
-/// result is only 0.1 to 0.4 dB better. That gain is not worth the memory of a second target.
+/// flicker score.
+///
+/// Patterns are not moved with the content. Moved patterns are a start that is 4 dB better, but the
+/// result is only 0.1 to 0.4 dB better. This gain is not worth the memory of a second target.
 const WARM_SOLVER: &str = "block-exact";
 
 /// Folder in the folder of a sequence. For each time step that begins a chunk, it contains patterns
@@ -121,7 +123,7 @@ impl Times {
     ///
     /// A time step after the first starts from the patterns in `before`, the folder of
     /// [`start`](Self::start). Every time step has the exposure and tone curve of the first time
-    /// step. `first_step` is `None` until the first time step has run.
+    /// step. `first_step` is `None` until the window of the first time step is placed.
     pub(crate) fn job(&self, job: &Job, time: usize, before: Option<&Path>, first_step: Option<FirstTimeStep>) -> Job {
         // Replace the light field, or the window and the pose.
         let mut of = Job { sequence: None, sweep: None, name: format!("{} {}", job.name, name(time)), ..job.clone() };

@@ -10,8 +10,8 @@
 //! ```
 //!
 //! Tracing is most of the work, and it writes pictures one by one. Therefore a unit that traces
-//! executes only a block of the pictures of a step. Other units execute several steps, since each
-//! unit must read its inputs again.
+//! executes only a block of a step's pictures. Short steps share a unit, since each unit must read
+//! its inputs again.
 //!
 //! The last unit executes the whole run. It reuses all results, and makes damaged or missing
 //! results again. So the bytes of results do not depend on how the plan is cut.
@@ -171,8 +171,8 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    /// Adds the tiles of a still's patterns, round by round. The unit of a time step solves all
-    /// tiles of the time step.
+    /// Adds the tiles of a still's patterns, round by round. Adds nothing for a time step, since
+    /// one unit solves all of its tiles.
     fn add_tiles(&mut self, step: &'a Step) {
         let Some((tiles, memory_bytes)) = tiles_of(self.plan, step.part) else { return };
         let (rounds, count) = (tiles.rounds(), tiles.count());
@@ -210,7 +210,8 @@ impl<'a> Cutter<'a> {
         self.push(step, Unit { block: Some([number + 1, count]), ..unit });
     }
 
-    /// Adds a step to the unit `results` of its part. For a still, the last unit makes the results.
+    /// Adds a step to the unit `results` of its part. The results of the first part, whose folder
+    /// is the run folder, are left to the last unit.
     fn add_result(&mut self, step: &'a Step) {
         if step.part == 0 {
             return;
@@ -240,14 +241,15 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    /// Returns true if a step is the report of a time step with one display. No other report is
+    /// Returns true if a step is the report of a time step without nodes. No other report is
     /// cached.
     fn is_report_of_time(&self, step: &Step) -> bool {
         let part = &self.plan.parts[step.part];
         matches!(part.kind, PartKind::Time(_)) && part.job.nodes.is_empty()
     }
 
-    /// Returns the steps without a unit of their own that the unit of `step` executes too.
+    /// Returns the steps that the unit of `step` executes too, since these steps have no unit of
+    /// their own.
     fn merged_steps(&self, step: &Step) -> Vec<&'a Step> {
         let alike =
             |other: &&Step| other.part == step.part && step.kind == StepKind::Expose && other.kind == StepKind::Denoise;

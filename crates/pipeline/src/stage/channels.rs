@@ -67,7 +67,7 @@ pub(crate) fn write_channels(
                 channels.push((ExtraChannel::Albedo.channels()[axis], values));
             }
         }
-        // Read variance and coverage from the cache of the views.
+        // Read the variance from the cache of the views. Coverage is traced if it is not cached.
         if has(ExtraChannel::Variance) {
             let variance = target.variance(view, kind)?;
             for (axis, name) in ExtraChannel::Variance.channels().iter().enumerate() {

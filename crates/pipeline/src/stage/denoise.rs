@@ -5,10 +5,10 @@
 //! cache/views/target-KEY/guided/view_YY_XX.exr       filtered; figures.json is written last
 //! ```
 //!
-//! A stopped run continues from its finished views. The filters `guided` and `oidn` use the same
-//! halves. For the filter `shared`, the path tracer writes two kinds of light separately: light
-//! that views share, and all other light. The files of a view are then not two halves but one
-//! `split_YY_XX.exr`.
+//! After a stop, traced views are reused, but a filter that did not finish filters all views again.
+//! The filters `guided` and `oidn` use the same halves. For the filter `shared`, the path tracer
+//! separates two kinds of light: light that views share, and all other light. A view then has one
+//! file, `split_YY_XX.exr`, instead of two halves.
 
 mod oidn;
 

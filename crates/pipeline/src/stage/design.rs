@@ -4,8 +4,8 @@
 //! A score over several time steps is the score of all their rays together, as in the report of a
 //! sequence. The score of the worst time step is in another column.
 //!
-//! A node without a display has the display of the design. The displays of other nodes are the same
-//! for all designs, so their scores are baselines.
+//! A node without a display of its own has the display of the design. The scores of the other nodes
+//! are baselines: they are the same for all designs with the same light field.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -14,8 +14,8 @@ pub(crate) enum SolverDevice {
     #[cfg(feature = "gpu")]
     Device {
         device: lumistack_factorizer_gpu::Device,
-        /// True if the job does not name this graphics processor. Only then may the processor
-        /// replace it.
+        /// True if the job's device is `auto`. Only then may the processor replace this graphics
+        /// processor.
         optional: bool,
     },
 }
@@ -156,8 +156,8 @@ mod tests {
         assert_eq!(check("gpu:llvmpipe").is_ok(), cfg!(feature = "gpu"));
     }
 
-    /// A lost device is an error if the job names the device. If the job does not name it, the
-    /// processor replaces the device, with a warning.
+    /// A lost device is an error if the job names the device. If the job's device is `auto`, the
+    /// processor replaces the lost device, with a warning.
     #[cfg(feature = "gpu")]
     #[test]
     fn the_processor_replaces_a_lost_device_that_the_job_does_not_name() {

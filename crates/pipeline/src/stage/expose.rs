@@ -4,7 +4,7 @@
 //! ```text
 //! L = (1 − m) · curve(exposure · radiance / (1 − m)) + m · background
 //!
-//! m: fraction of a pixel's samples that hit no surface
+//! m: fraction of a pixel that shows the background
 //! ```
 //!
 //! If the job has a background colour, views are traced without a visible environment. Therefore
@@ -24,7 +24,7 @@ use super::trace::Traced;
 use crate::error::{PipelineError, field_error};
 use crate::job::Background;
 
-/// Display-referred light fields of a shot.
+/// Light fields of a shot: display-referred or, with `linear`, scene-linear.
 pub(crate) struct Exposed {
     /// Target of the display. Views that the options do not select are black.
     pub(crate) target: LightField,
@@ -57,7 +57,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     let kind = shot.denoise();
     let read = |one: &FieldJob, view| one.radiance(view, shot);
     // Read the views of each light field into memory. A light field that is too large is read
-    // later, view by view: once for the exposure, and once for the result.
+    // later, view by view. Such a target is read twice: for the exposure, and for the result.
     let mut radiance = Vec::new();
     for one in fields {
         let mut field = None;
@@ -90,7 +90,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     // Read the results of the denoiser on the target's views, for the report.
     let denoised = denoise::denoised(&fields[0], kind, tone_mapping)?;
     // This closure exposes one view. If the job has a background colour, each pixel gets this
-    // colour in the fraction that surfaces do not cover.
+    // colour in the fraction that shows the background.
     let expose_view = |field: &FieldJob, view: [usize; 2], rgb: &mut [f32]| -> Result<(), PipelineError> {
         if linear {
             // Scene-linear values are neither exposed, nor clipped, nor rounded.

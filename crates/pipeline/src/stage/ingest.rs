@@ -184,8 +184,8 @@ pub fn load_scene(
     Ok(Ingested { known, ..lit(scene, files, pose, light_job, task)? })
 }
 
-/// Lights a scene that the caller made, as [`load_scene`] does. The scene's key contains the
-/// content of `files`, and `content`, the data in memory that the scene was made from.
+/// Crops and lights a scene that the caller made, by the rules of [`load_scene`]. The scene's key
+/// contains the content of `files`, and `content`, the data in memory that the scene was made from.
 ///
 /// # Errors
 /// If a file cannot be read, or the scene cannot be rendered.

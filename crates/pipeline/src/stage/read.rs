@@ -29,7 +29,7 @@ pub(crate) fn run(
     let footprint = |geometry: &FieldGeometry| adapted_footprint(display, geometry);
     let defaults = field_defaults(display);
     // The folder `target/` has half floats, but values in memory are not rounded. So the report
-    // compares the display with the values of the file.
+    // compares the display with the values at `path`, after exposure and tone curve.
     let tone_mapping = ToneMapping::of_given(&job.light);
     let change = |view: &mut [f32]| tone_mapping.iter().for_each(|tone_mapping| tone_mapping.apply_to(view));
     let paging = |geometry: &FieldGeometry| {

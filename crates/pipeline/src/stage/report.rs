@@ -37,7 +37,7 @@ pub(crate) fn run(about: &ReportContent<'_>, stamps: &Stamps, task: Task<'_>) ->
     let measure = |references: &References| references.measure(display, &solved.stack, task);
     // Measure the seen pictures first, since the report draws and scores them.
     let zone = about.references.map(measure).transpose()?;
-    // The report is made from values in memory. Only the report is written.
+    // The report is made from values in memory, not from the files of the run.
     let report = lumistack_report::build(
         &ReportInput {
             title: &job.name,

@@ -346,7 +346,7 @@ pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, thre
     let Some(part) = parts.first() else { return 0 };
     let rays = part.rays() as u64;
     let exposure = 2 * size_of::<(f32, bool)>() as u64 * (count * rays).min(MOST_RAYS as u64);
-    // One section is rendered at a time, but all sections are solved in parallel.
+    // One section is rendered at a time, but several sections are solved in parallel.
     const SPLIT: u64 = size_of::<f32>() as u64 * SplitView::VALUES as u64;
     const FIELD: u64 = 12;
     let (rendering, solving) = if job.render.is_held(geometry) {
@@ -474,8 +474,8 @@ impl Part {
         self.moved(&grid.scaled(depth_scale))
     }
 
-    /// Returns the pixels inside the margin. If the margin is too wide for a small section, it is
-    /// reduced, so that some pixels are left.
+    /// Returns the pixels that the margin surrounds. If the margin is too wide for a small section,
+    /// it is reduced, so that some pixels are left.
     fn middle(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let FieldGeometry { rows, cols, .. } = self.geometry;
         let inside = |count: usize, margin: usize| {

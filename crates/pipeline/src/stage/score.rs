@@ -31,7 +31,8 @@ use crate::store::views::{missing, read_view, write_view};
 
 /// Number of directions that have enough samples for SSIM, FLIP and the report's pictures.
 const CLEAN: usize = 8;
-/// Samples per pixel of the first [`CLEAN`] directions, and of the other directions.
+/// Samples per pixel of the first [`CLEAN`] directions, and of the other directions. Each of a
+/// direction's two renders has half of these samples.
 const SAMPLES: [u32; 2] = [24, 4];
 /// Identifies a sequence of random numbers that no view uses.
 const STREAM: u64 = 3;
@@ -303,8 +304,8 @@ impl References {
         Ok([one(0)?, one(1)?])
     }
 
-    /// Reads one picture and, with a background colour, the fraction of samples that hit no
-    /// surface. Returns `None` if a file is missing or damaged.
+    /// Reads one picture, display-referred. If the job has a background colour, the picture is over
+    /// this colour. Returns `None` if a file is missing or damaged.
     fn one(&self, i: usize, half: usize) -> Option<Vec<f32>> {
         let (folder, tone_mapping, background, space) = match &self.pictures {
             Pictures::Rendered { folder, tone_mapping, background, space } => {
@@ -333,7 +334,7 @@ fn path(folder: &Path, i: usize, half: usize) -> PathBuf {
     folder.join(format!("direction_{i:02}-{}.exr", ["a", "b"][half]))
 }
 
-/// Returns the path of the file with the fraction of every pixel's samples that hit no surface.
+/// Returns the path of the file with the fraction of every pixel that shows the background.
 fn missed_path(folder: &Path, i: usize, half: usize) -> PathBuf {
     path(folder, i, half).with_extension("missed.npy")
 }

@@ -80,7 +80,7 @@ impl Tiles {
         self.tiling.around(number)
     }
 
-    /// Returns the memory of a tile, bytes.
+    /// Returns the memory of the largest tile, bytes.
     pub(crate) fn bytes(&self, display: &Display, geometry: &FieldGeometry) -> u64 {
         bytes(&self.tiling, display, geometry)
     }
@@ -293,7 +293,8 @@ impl Work<'_> {
             };
             match solved {
                 Ok(solved) => Ok((solved.stack.cut(&within), Some(Convergence::of(&solved, steps, warm.is_some())))),
-                // If no rays go through the tile, its pixels keep the values of the start.
+                // If no rays go through the tile, its pixels keep the values of the start. Without
+                // a start they become clear.
                 Err(FactorizeError::NoRays) => {
                     let unlit = start.clone().unwrap_or_else(|| clear(&display));
                     let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };

@@ -222,8 +222,8 @@ fn trace(
         // Each half of a view has its own seed.
         let (traced, settings) = (&field.traced, field.settings_of(*half));
         let (alone, shared) = (variance.is_none() && guides.is_none(), kind == Denoise::Shared);
-        // Radiance and first hits come from the same paths. The first hits are computed only if
-        // they are requested.
+        // Radiance, variance and first hits come from the same paths. If neither variance nor first
+        // hits are requested, only the radiance is computed.
         let more = if shared && alone {
             let split = renderer.render_split(window, traced, *view, &settings, task).map_err(render_error)?;
             write_split(path, &split)?;

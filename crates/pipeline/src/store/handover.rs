@@ -49,9 +49,9 @@ fn content_of(path: &Path) -> Option<String> {
     lumistack_files::read(path).ok().map(|bytes| hash(&bytes))
 }
 
-/// Converts the scene of a `.blend` file at the time `time_s`, seconds. With a cache folder,
-/// Blender runs again only after a change of the file, its references, Blender, or our script in
-/// Blender.
+/// Converts the scene of a `.blend` file at the time `time_s`, seconds. With a cache folder, a
+/// conversion is reused until the file, its references, Blender, or our script in Blender changes.
+/// A conversion with inputs that cannot be checked is not cached.
 ///
 /// # Errors
 /// If Blender returns no scene, or the cache cannot be written.
@@ -110,7 +110,8 @@ fn kept_or(
     let HandedOver { glb, account } = &handed;
     let all = [std::slice::from_ref(&place), &account.files[..]].concat();
     let files: Option<Vec<_>> = all.into_iter().map(|path| Some((path.clone(), content_of(&path)?))).collect();
-    // If a file is missing or changed during the conversion, do not cache the result.
+    // Do not cache the result if an input cannot be read or cannot be checked, or if the `.blend`
+    // file changed during the conversion.
     if let Some(files) = files.filter(|files| account.untracked.is_none() && Some(&files[0].1) == before.as_ref()) {
         let program = lumistack_usd::file_stamp(&account.program);
         let kept =

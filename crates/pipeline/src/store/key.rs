@@ -1,5 +1,5 @@
-//! Keys of results. A key is a hash of the code that affects a result, its settings, and the
-//! content of all files that it depends on. It does not contain the number of threads.
+//! Keys of results. A key is a hash of everything that a result depends on: code, settings, and the
+//! content of files. The number of threads is not part of a key.
 
 use std::path::Path;
 

@@ -54,7 +54,7 @@ pub(crate) fn left_overs(dir: &Path) -> Vec<PathBuf> {
 fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     for (name, path) in entries(folder) {
         let temporary = name.starts_with(".lumistack-") && name.ends_with(".tmp");
-        // An output writes its files into this folder before it renames them.
+        // An output writes its files into a folder `.NAME.partial` before it renames the folder.
         let partial = name.starts_with('.') && name.ends_with(".partial") && is_folder(&path);
         if temporary || partial {
             found.push(path);

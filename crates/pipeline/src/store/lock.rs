@@ -6,9 +6,9 @@
 //! cache/owner.json         process and host of the owner, for messages
 //! ```
 //!
-//! Units of work on several machines share the lock of a folder, since no two of them write the
-//! same file. The last unit waits until all other units have ended. `lumistack run` does not wait;
-//! it reports that the folder is in use.
+//! Units of work on several machines share the lock of the run folder, since no two of them write
+//! the same file. The last unit waits until all other units have ended. `lumistack run` does not
+//! wait; it reports that the folder is in use.
 
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};

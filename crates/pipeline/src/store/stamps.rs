@@ -59,8 +59,9 @@ impl Stamps {
         &self.run_dir
     }
 
-    /// Returns the result of a stage, and true if it was cached. If the stamp has the key, `kept`
-    /// reads the result. Otherwise `make` makes the result and returns the paths of its files.
+    /// Returns the result of a stage, and true if it was cached. If the stamp has the key and its
+    /// files are unchanged, `kept` reads the result. Otherwise, or if `kept` returns `None`, `make`
+    /// makes the result and returns the paths of its files.
     ///
     /// # Errors
     /// The errors of `make`, and an error if the stamp cannot be written.

@@ -8,7 +8,8 @@ use lumistack_pipeline::{Job, LiveFields, Registry};
 
 use crate::compose::with_task;
 
-/// Two light fields are regarded as equally bright if their ratio differs from 1 by less than this.
+/// Two light fields are regarded as equally bright if the ratio of their means differs from 1 by
+/// less than this value.
 const SAME: f64 = 0.02;
 
 /// Writes `triangle.gltf`: a triangle that emits this radiance, 0..1.

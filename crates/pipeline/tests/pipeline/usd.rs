@@ -17,10 +17,10 @@ const COLS: usize = 64;
 const BLOCK: usize = 8;
 /// Number of pictures of each scene, each with another seed.
 const PICTURES: u64 = 24;
-/// False-alarm rate per block and channel, from which the limit of 6.5 standard errors of a normal
-/// distribution follows. The real rate is higher, 5 in 10⁸: the difference of two means of 24
-/// pictures each follows Student's t with 46 degrees of freedom. There are 240 differences, so a
-/// false alarm occurs in 1 of 80,000 runs.
+/// False-alarm rate per block and channel. For a normal distribution it gives a limit of 6.5
+/// standard errors. The real rate is higher, 5 in 10⁸: the difference of two means of 24 pictures
+/// each follows Student's t with 46 degrees of freedom. There are 240 differences, so a false alarm
+/// occurs in 1 of 80,000 runs.
 const RATE: f64 = 8e-11;
 /// Tolerance for rounding, relative to the light of a block. Flipping texture coordinates twice
 /// rounds them.

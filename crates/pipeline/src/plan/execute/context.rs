@@ -32,7 +32,7 @@ pub(crate) struct Patterns {
     pub(super) cached: bool,
 }
 
-/// The report of a display, and its pictures for the report of all displays.
+/// The report of a display. For a node also two pictures, which the report of the graph shows.
 pub(crate) struct Reported {
     pub(crate) report: Report,
     pub(super) shown: Option<[Thumbnail; 2]>,

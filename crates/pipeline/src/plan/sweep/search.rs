@@ -29,7 +29,7 @@ const DROP_DB: f64 = 8.0;
 /// panels and β of all candidates.
 pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<Vec<Candidate>, PipelineError> {
     let fits = |d: &Design| {
-        // A single frame does not flicker at any refresh rate, so its `refresh_hz` is 0.
+        // A display that shows a single picture does not flicker, so its `refresh_hz` is 0.
         let checks = [
             search.max_thickness_mm.is_none_or(|most| d.thickness_mm <= most * (1.0 + 1e-9)),
             search.max_refresh_hz.is_none_or(|most| d.refresh_hz <= most * (1.0 + 1e-9)),

@@ -35,7 +35,7 @@ pub(crate) fn cropped(scene: Scene, pose: &PoseJob, task: Task<'_>) -> Result<Sc
 }
 
 /// Crops the clouds. If a cloud is used in several places, different splats may remain in each
-/// place. Such a cloud becomes one cloud per place.
+/// place. So every place gets a cloud of its own.
 fn crop(parts: &mut SceneParts, inside: impl Fn(Vec3) -> bool) {
     let clouds = std::mem::take(&mut parts.clouds);
     for mut placed in std::mem::take(&mut parts.placed_clouds) {

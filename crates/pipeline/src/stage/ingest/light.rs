@@ -1,4 +1,4 @@
-//! Environment maps from files.
+//! Environment maps, from files and from splats.
 
 use std::path::Path;
 use std::sync::Arc;

@@ -18,10 +18,10 @@ use crate::store::views::write_picture;
 /// Chooses the renderer of a job's views. If the conversion of a `.blend` file loses features,
 /// warnings state these features and the reason for the choice, unless the job names `blender`.
 ///
-/// If the job names an engine, that engine renders. With `auto`, our path tracer renders, with one
-/// exception: the engine of a `.blend` file renders if the conversion loses features of the scene.
-/// The file's engine must work on this machine. The job must not need features that only our path
-/// tracer has, such as the `variance` of views.
+/// If the job names an engine, that engine renders. With `auto`, the engine of the job's `.blend`
+/// file renders if three conditions hold. The conversion loses features of the scene. The file's
+/// engine works on this machine. The job needs no feature that only our path tracer has, such as
+/// the `variance` of views. In all other cases our path tracer renders.
 pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<'_>) -> Engine {
     let is_file = job.scene.as_deref().is_some_and(is_blend);
     chosen(
