@@ -6,9 +6,9 @@
 //! ```
 //!
 //! The window comes from the file's first camera, or is framed on the scene. A scene without light
-//! gets a white sky. The views are an N × N grid over 20° × 20° with oblique projection, on a
-//! window 474 mm wide. Only the views at the corners and in the centre are written, but all are
-//! timed.
+//! gets a sky that is white above and grey below. The views are an N × N grid over 20° × 20° with
+//! oblique projection, on a window 474 mm wide. All views are timed. With a folder, the views at
+//! the corners and in the centre are written.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -127,7 +127,7 @@ fn render(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Adds a white sky to a scene in which nothing emits light.
+/// Adds a sky, white above and grey below, to a scene in which nothing emits light.
 fn with_light(scene: Scene, task: Task<'_>) -> Result<Scene, Box<dyn std::error::Error>> {
     if scene.is_lit() {
         return Ok(scene);

@@ -1,9 +1,9 @@
 //! The scene's triangles, and the surface data at a hit.
 //!
 //! Most triangles are *loose*: each instance has its own copy in render space, as if the scene were
-//! one mesh. In large scenes a mesh that is placed often is *shared*. Its triangles are kept once,
-//! in a space around the mesh's centre, with a transform per instance. So the memory of large
-//! scenes grows with unique geometry only.
+//! one mesh. In large scenes most meshes with several instances are *shared*. The triangles of a
+//! shared mesh are kept once, in a space around the mesh's centre, with a transform per instance.
+//! So the memory of a large scene depends mostly on its unique geometry.
 //!
 //! Render space is the scene, moved so that the centre of its bounds is the origin, and scaled by a
 //! power of two. In render space the half diagonal of the bounds is 1 to 2. So 32-bit rounding is
@@ -24,7 +24,7 @@ use crate::bvh::{Hit, NO_INSTANCE, Placement};
 /// vertices.
 const OFFSET_SHARE: f32 = 4e-6;
 /// Scenes of up to this number of triangles, with all instances included, share no meshes (see
-/// [`Sharing::Auto`]). Such scenes need at most some 150 MB.
+/// [`Sharing::Auto`]). The records of their triangles take at most 134 MB.
 const FLATTENED: usize = 1 << 20;
 /// Meshes of fewer triangles than this get no separate tree.
 const LEAST_SHARED: usize = 16;
@@ -42,13 +42,13 @@ pub(crate) struct RenderSpace {
     pub(crate) half_size: Vec3,
 }
 
-/// Rule by which meshes that are placed more than once share their triangles.
+/// Rule by which the instances of a mesh share its triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sharing {
-    /// Meshes share triangles in scenes of more than [`FLATTENED`] triangles, with instances
+    /// Instances share triangles in scenes of more than [`FLATTENED`] triangles, with all instances
     /// included. In smaller scenes one tree makes rays faster.
     Auto,
-    /// Meshes share triangles wherever possible.
+    /// Instances share triangles wherever possible.
     #[cfg(test)]
     Always,
 }

@@ -47,6 +47,6 @@ mod tracer;
 pub use renderer::{Checks, Feature, Features, GuidedSplit, GuidedView, Memory, RenderError, Renderer, SplitView};
 pub use settings::{AngularFilter, Settings, SettingsError};
 
-/// Hash of this crate's sources, made at build. It is part of the key of every kept result that
+/// Hash of this crate's sources, made at build. It is part of the key of every cached result that
 /// this code contributes to.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

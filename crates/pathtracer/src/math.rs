@@ -25,7 +25,7 @@ pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
     let (across, up) = (x.abs(), y.abs());
     let steep = up > across;
     let ratio = if steep { across / up } else { up / across.max(f32::MIN_POSITIVE) };
-    // least-squares fit of atan(√s)/√s at Chebyshev nodes
+    // least-squares fit of atan(√s)/(2π √s) at Chebyshev nodes
     let s = ratio * ratio;
     let sum = 0.015_766_043 + s * (-0.009_448_567 + s * (0.003_846_168_5 + s * -0.000_743_058_34));
     let turns = ratio * (0.159_154_92 + s * (-0.053_049_46 + s * (0.031_782_024 + s * (-0.022_308_089 + s * sum))));
@@ -45,7 +45,8 @@ pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (radius, other) = if across { (a, b) } else { (b, a) };
     let x = std::f32::consts::FRAC_PI_4 * if radius == 0.0 { 0.0 } else { other / radius };
     let x2 = x * x;
-    // Taylor series of sine and cosine, see `sin_cos_turns`; |x| is at most π/4
+    // Taylor series of sine and cosine, the sine with one term less than in `sin_cos_turns`; |x| is
+    // at most π/4
     let sin = x * (1.0 + x2 * (-1.0 / 6.0 + x2 * (1.0 / 120.0 + x2 * (-1.0 / 5040.0))));
     let cos = 1.0 + x2 * (-0.5 + x2 * (1.0 / 24.0 + x2 * (-1.0 / 720.0 + x2 * (1.0 / 40_320.0))));
     let (along, aside) = (radius * cos, radius * sin);

@@ -86,7 +86,8 @@ pub struct Renderer {
 pub struct Memory {
     /// Number of triangles, including the copies that instances make.
     pub triangles: usize,
-    /// Number of triangles that are kept. In large scenes a mesh that is placed often is kept once.
+    /// Number of triangles that are kept. In large scenes most meshes with several instances are
+    /// kept once.
     pub unique_triangles: usize,
     /// Number of bytes of the tree's nodes, leaves and instances.
     pub tree_bytes: usize,
@@ -102,7 +103,8 @@ pub struct Memory {
 struct PixelMean {
     /// Mean radiance.
     mean: Vec3,
-    /// Variance of the mean, as if samples were independent; NaN with fewer than two samples.
+    /// Variance of the mean, as if samples were independent; NaN if fewer than two samples are
+    /// finite numbers.
     variance: Vec3,
     /// Number of samples that are not finite numbers.
     not_finite: u32,
@@ -147,8 +149,8 @@ pub enum RenderError {
 
 impl Renderer {
     /// Prepares a scene: image pyramids, tree, lights. Takes time and memory in proportion to the
-    /// scene, not to the views. In scenes of more than a million triangles, a mesh that is placed
-    /// often is kept only once.
+    /// scene, not to the views. In scenes of more than a million triangles, most meshes with
+    /// several instances are kept only once.
     ///
     /// # Errors
     /// If the scene has more than 2²⁹ − 1 triangles or 2³⁰ − 1 instances, or when cancelled.
@@ -265,8 +267,8 @@ impl Renderer {
     ) -> Result<Tensor<3>, RenderError> {
         let samples = self.samples_of(window, geometry, view, settings)?;
         let (lost, clamped) = (AtomicU64::new(0), Clamped::default());
-        // With few samples per pixel, several pixels share a beam. Whole renders of still-life with
-        // 1, 2, 3 and 4 samples then take 16, 9, 7 and 6 % less time than with a beam per pixel.
+        // With few samples per pixel, several pixels share a beam. Compared with a beam per pixel,
+        // renders of still-life with 1, 2, 3 and 4 samples take 16, 9, 7 and 6 % less time.
         let most = (BEAM / settings.samples as usize).max(1);
         let filled = self.by_groups(geometry, task, ["row", "col", "rgb"], most, |pixels, buffers, filled| {
             let count = [settings.samples; 2];
@@ -379,10 +381,10 @@ impl Renderer {
         }
     }
 
-    /// Renders pixels. Each pixel has the given numbers [paths, rays]; its first rays continue as
-    /// paths. If `FIRST` is true, also adds up data of the first surfaces of the rays. Calls `take`
-    /// for every pixel, in the given order. Several pixels may only be given together if all their
-    /// rays fit into a beam.
+    /// Renders pixels, each with the numbers [paths, rays] in `rays_of_pixel`. The first rays of a
+    /// pixel continue as paths. If `FIRST` is true, also adds up data of the first surfaces of the
+    /// rays. Calls `take` for every pixel, in the given order. Several pixels may only be given
+    /// together if all their rays fit into a beam.
     fn pixels<const FIRST: bool>(
         &self,
         samples: &ViewSamples<'_>,
@@ -539,7 +541,7 @@ impl LightSums {
         true
     }
 
-    /// Returns the mean over `paths` paths.
+    /// Returns the mean over the finite ones of `paths` paths, and the variance of this mean.
     fn mean(&self, paths: u32) -> PixelMean {
         let finite = paths - self.not_finite;
         let count = f64::from(finite.max(1));

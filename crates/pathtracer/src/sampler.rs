@@ -113,9 +113,9 @@ impl SampleBank {
 }
 
 impl Draws<'_> {
-    /// Returns the number of equal parts into which a pixel's samples stratify [0, 1). If the
-    /// number of samples is a power of two, each part holds one of the samples' numbers, for both
-    /// dimensions of every pair. Otherwise each part holds one or two numbers.
+    /// Returns the number of equal parts into which a pixel's samples stratify [0, 1), at most
+    /// [`LONGEST`]. If a pixel has at most [`LONGEST`] samples, each part holds one or two of their
+    /// numbers, for both dimensions of every pair. If their number is a power of two, it holds one.
     #[inline]
     pub(crate) fn parts(&self) -> u32 {
         self.bank.parts

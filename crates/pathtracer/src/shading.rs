@@ -114,8 +114,8 @@ impl Materials {
         }
     }
 
-    /// Returns the radiance that the surface emits towards a viewer on its front or back side, in a
-    /// direction with this cosine to the normal.
+    /// Returns the radiance that the surface emits towards a viewer. `front` is true if the viewer
+    /// is on the front side. `cosine` is the cosine between the direction and the normal.
     pub(crate) fn emission(
         &self,
         index: usize,

@@ -25,9 +25,9 @@
 //! * Tracing rays takes half of the time. The other half is spent on waiting for memory and on
 //!   branches rather than on arithmetic. The whole program compiled for AVX2 with FMA was no
 //!   faster.
-//! * Nearly all variance of a diffuse scene comes from the first scattered direction. With four
-//!   jointly stratified points of lights at the first hit instead of one, the squared error fell by
-//!   7 %, but the time rose by 80 %.
+//! * Nearly all variance of a diffuse scene comes from the first scattered direction. A trial had
+//!   four jointly stratified points of lights at the first hit, instead of one. The squared error
+//!   fell by 7 %, but the time rose by 80 %.
 //! * Between rays, paths wait for chains of roots and quotients, and for results that are read in
 //!   larger pieces than they were written in. So directions around normals and primary rays are
 //!   computed for all paths together, as vectors. Hits are written where they are read, and a
@@ -145,7 +145,7 @@ struct Path {
 pub(crate) struct First {
     /// True if the path hits a surface.
     pub(crate) is_there: bool,
-    /// Radiance that the ray itself sees: emission of the surface, or the sky if there is no
+    /// Radiance that the ray itself sees: emission of the surface, or the background if there is no
     /// surface.
     pub(crate) seen: Vec3,
     /// Radiance that the surface scatters by Lambert's law.
@@ -316,8 +316,8 @@ impl Tracer<'_> {
         paths.map(|path| path.radiance)
     }
 
-    /// Finds the first surfaces that the rays of [`radiance`](Self::radiance) hit. Their light and
-    /// the reflectance of their diffuse lobe are not computed.
+    /// Returns the first surface of every ray, as [`radiance`](Self::radiance) finds it. Its light
+    /// and the reflectance of its diffuse lobe are not computed.
     pub(crate) fn first(
         &self,
         rays: &mut [Ray],
@@ -368,7 +368,8 @@ impl Tracer<'_> {
         first
     }
 
-    /// Returns the number of the rays of [`radiance`](Self::radiance) that miss all surfaces.
+    /// Traces rays as [`radiance`](Self::radiance) does, but only to their first hits. Returns the
+    /// number of rays that miss all surfaces.
     pub(crate) fn misses(&self, rays: &mut [Ray], in_bounds: bool, draws: &Draws<'_>, stack: &mut Stack) -> usize {
         let mut hits = [None; BEAM];
         self.first_hits(rays, in_bounds, draws, stack, &mut hits);
@@ -390,8 +391,8 @@ impl Tracer<'_> {
         }
     }
 
-    /// Returns directions around the z axis, which later becomes a normal, for the paths that
-    /// continue, in the order of the paths. The directions are computed together, as vectors.
+    /// Returns a direction around the z axis for each path that continues, in the order of the
+    /// paths. The z axis later becomes a normal. The directions are computed together, as vectors.
     #[inline]
     fn cosine_directions(&self, going: u32, pair: &mut Pair<'_>) -> [[f32; BEAM]; 3] {
         let mut u = [[0.0; BEAM]; 2];
@@ -519,8 +520,8 @@ impl Tracer<'_> {
         self.first_surface(ray, stack).is_some()
     }
 
-    /// Returns the distance along a ray, in render space, to the first visible surface whose alpha
-    /// is not 0.
+    /// Returns the distance along a ray, in render space, to the first surface that viewers see.
+    /// Points at which the alpha leaves nothing of a surface are left out.
     pub(crate) fn first_surface(&self, ray: Ray, stack: &mut Stack) -> Option<f32> {
         let is_there = |hit: &Hit| hit.flags & ALPHA == 0 || (!self.is_unseen(hit) && self.coverage(hit) > 0.0);
         let hit = self.bvh.nearest(&ray, stack, is_there);

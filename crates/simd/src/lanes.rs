@@ -72,9 +72,9 @@ pub trait Lanes: Copy {
         }
     }
 
-    /// Calls another kernel with the same type of vector, so with the same instruction set. The
-    /// call is out of line, except for [`Pair`](crate::Pair), or if the compiler finds inlining
-    /// cheap.
+    /// Calls another kernel with the same type of vector, so with the same instruction set. With
+    /// [`Pair`](crate::Pair) the call is inlined. With other vectors it is out of line, unless the
+    /// compiler finds inlining cheap.
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output;
 
     /// Reads an array of exactly `COUNT` values.

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Kernel::run::<V: Lanes>      written once
-//!     Backend::function        one small function per kernel and instruction set, for tables
+//!     Backend::function        a pointer to the kernel's function for one instruction set
 //!     Backend::call_eight      a direct call, with vectors of exactly eight lanes
 //!     Lanes::call              from one kernel to another, out of line
 //! ```
@@ -46,7 +46,7 @@ pub use wasm::Simd128;
 #[cfg(target_arch = "x86_64")]
 pub use x86::{Avx2, Avx512};
 
-/// Largest number of lanes of any vector. It is a multiple of every lane count.
+/// Largest number of lanes of any instruction set. It is a multiple of every set's number of lanes.
 pub const MAX_LANES: usize = 16;
 
 /// Hash of this crate's sources, computed at build. It is part of the key of every cached result

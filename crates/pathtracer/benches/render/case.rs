@@ -31,7 +31,7 @@ const LIGHT: f32 = 40.0;
 /// Name of the light's material.
 const LIGHT_NAME: &str = "rectangle light";
 
-/// A scene, with its geometry, window and settings for a view.
+/// A scene with a rectangle light, its window, and the geometry of its view.
 pub struct Case {
     pub name: String,
     pub scene: Arc<Scene>,
@@ -51,8 +51,8 @@ impl AssetResolver for Folder<'_> {
 
 impl Case {
     /// Loads a glTF or USD file. Keeps its materials if `own_materials` is true, and makes them
-    /// diffuse otherwise. A file without a camera also gets a floor. With `copies` > 1, the copies
-    /// of the scene are arranged in a square.
+    /// diffuse otherwise. With `copies` > 1, the copies of the scene are arranged in a square, and
+    /// have no cameras. A scene without a camera also gets a floor.
     pub fn load(
         path: &Path,
         copies: usize,
@@ -116,7 +116,7 @@ impl Case {
                 Window::given(centre.as_dvec3(), forward, DVec3::Y, height * size_mm[0] / size_mm[1], size_mm)?
             }
         };
-        // add a floor, so that a file without a camera has a surface that receives shadows
+        // add a floor, so that a scene without a camera has a surface that receives shadows
         if parts.cameras.is_empty() {
             let at = Vec3::new(centre.x, bounds.min.y, centre.z);
             let half = 4.0 * size.length();

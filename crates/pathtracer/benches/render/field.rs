@@ -75,7 +75,7 @@ struct Bench {
 }
 
 /// Renders the views of a case one by one, with shared light, and with shared light and further
-/// paths. Prints a table row per way.
+/// paths. Prints a table row per way, and per peer.
 pub fn measure(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);

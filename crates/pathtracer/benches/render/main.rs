@@ -19,14 +19,14 @@
 //! * `view` renders one view of a diffuse scene (see [`case`]) with each renderer in turn. It
 //!   prints a line per renderer and sampler: median time, samples per second, mean squared error
 //!   against the renderer's own converged picture, and error × seconds per megapixel.
-//! * `agree` compares converged pictures of the same view and fails where they differ.
+//! * `agree` compares converged pictures of the same view, and fails if they differ too much.
 //! * `field` renders many views in three ways: one by one, with light that is averaged over all
 //!   views, and with this light and further paths. It prints a row per way: processor seconds,
 //!   squared error, error of the worst view, bias, change of the mean, variance of the mean view,
 //!   and speed-up at equal error. With `--converged` it also compares the means of three views with
 //!   pictures of N samples. With peers the views are perspective, and a row per peer follows.
-//! * `filters` renders the same three ways, and views that are filtered with guides, each with 4,
-//!   16 and 64 samples. Views one by one are also rendered with 256 samples. The last column is the
+//! * `filters` renders the views in the same three ways, and filters them with guides, with 4, 16
+//!   and 64 samples each. It also renders views one by one with 256 samples. The last column is the
 //!   error of views one by one in the same time, divided by the error of the row's way.
 
 mod case;

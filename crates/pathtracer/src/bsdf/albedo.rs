@@ -48,7 +48,7 @@ const STRETCHED: [usize; 4] = [16, 6, 13, 13];
 const STRETCHED_SAMPLES: u32 = 377;
 /// Step of the Fibonacci lattice of [`STRETCHED_SAMPLES`] points.
 const STRETCHED_STEP: u32 = 233;
-/// The smallest cosine and the smallest α of the table. At this α the lobe is a mirror.
+/// The smallest cosine and the smallest α of the tables. Below this α the lobe is a mirror.
 const SMALLEST: f32 = 1e-3;
 /// The index of refraction for which the tables of E also hold B: glTF's default, and the index of
 /// clear coats. The top of the file defines E and B.
@@ -170,7 +170,7 @@ fn tabulate_indices(nodes: [usize; 3], root: f32) -> Slice<1> {
 }
 
 /// Returns the integral of E · density over 0..1. `nodes` have E at evenly spaced positions. The
-/// density integrates to 1, so if E is constant, the result is exactly E.
+/// sum over the nodes is divided by the sum of their weights, so a constant E has no error.
 fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     let last = (nodes.len() - 1) as f32;
     let (mut sum, mut weights) = (0.0, 0.0);

@@ -37,7 +37,7 @@ pub(crate) fn local_frame(normal: Vec3, tangent: Option<Vec3>) -> Mat3 {
     }
 }
 
-/// Returns the direction to the viewer in a frame, on the viewer's side of its normal.
+/// Returns the direction to the viewer in a frame, with z > 0.
 pub(crate) fn local_viewer(scene_from_local: &Mat3, to_viewer: Vec3) -> Vec3 {
     let mut o = scene_from_local.transpose() * to_viewer;
     o.z = o.z.max(1e-6);

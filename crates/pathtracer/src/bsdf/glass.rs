@@ -1,4 +1,4 @@
-//! The rough interface between air and a solid, reflecting and refracting.
+//! The interface between air and a solid, which reflects and refracts light.
 //!
 //! The formulas are those of Walter et al. 2007, with Fresnel's exact term F. The symbols D, V, G₂,
 //! h, o and i are defined in [`ggx`]. The symbol η is the index of refraction on the far side
@@ -27,8 +27,8 @@ use super::table::{Slice, Table, slice};
 
 /// Indices of refraction closer to 1 than this do not bend light.
 const NO_REFRACTION: f32 = 1e-3;
-/// Numbers of nodes of the albedo table over the root of the cosine, perceptual roughness, and the
-/// root of |n − 1|/(n + 1) for the index n.
+/// Numbers of nodes of the albedo table, one per coordinate. The coordinates are the root of the
+/// cosine, perceptual roughness, and the root of |n − 1|/(n + 1) for the index n.
 const NODES: [usize; 3] = [24, 16, 16];
 /// Largest root of the reflectance at normal incidence in the table (index 4); the smallest is 0.
 const LARGEST_ROOT: f32 = 0.6;

@@ -18,8 +18,8 @@ pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
 /// A term of the scattering function, at one point for one outgoing direction.
 pub(crate) trait Lobe {
     /// True if the lobe has its own frame, or its own horizon: the plane below which it receives no
-    /// light. Other lobes are evaluated only for light on one side of both the geometric and the
-    /// shading normal. Otherwise light would leak through the surface.
+    /// light. Other lobes are evaluated only for light that is on the same side of the geometric
+    /// and of the shading normal. Otherwise light would leak through the surface.
     const OWN_FRAME: bool = false;
     /// True if the lobe can be evaluated for light from behind the surface.
     const TRANSMITS: bool = false;
@@ -72,8 +72,8 @@ pub(crate) trait Layer: Lobe + Sized {
         texel: &impl Fn(&Option<Slot>) -> Vec4,
     ) -> Option<Self::Parameters>;
 
-    /// Returns the fraction of the light emitted by the base that passes the layer, towards a
-    /// viewer whose direction has this cosine to the normal.
+    /// Returns the fraction of the base's emitted light that passes the layer. The second argument
+    /// is the cosine between the viewer's direction and the normal.
     fn passed(_: &Self::Parameters, _cosine: f32) -> f32 {
         1.0
     }

@@ -87,8 +87,7 @@ macro_rules! lobes {
 
         impl Lobes {
             /// Makes the lobes at a point. `layers` has the parameters of the layers. It is `None`
-            /// for materials without layers, and if the viewer is inside a solid, where no layer is
-            /// seen.
+            /// if the appearance has no extras, or if the viewer is inside a solid.
             #[inline]
             pub(crate) fn new(surface: &Surface<'_>, layers: Option<&Layers>) -> Self {
                 let mut below = 1.0;
@@ -158,7 +157,7 @@ macro_rules! lobes {
                 )*
             }
 
-            /// Samples a direction of one of the lobes.
+            /// Samples a direction of the lobe with the index `chosen`.
             #[inline]
             pub(crate) fn sample(
                 &self,

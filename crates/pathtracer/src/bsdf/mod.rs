@@ -12,22 +12,22 @@
 //!        = m K F(c) D V + (1 − m) [(1 − t) (K F(f0) D V + (1 − E_d(o)) c/π) + t glass]
 //! ```
 //!
-//! E_coat, E_fibres and E_d are the albedos of the coat, of the fibres and of the dielectric's
-//! reflection lobe (its largest channel). The diffuse lobe gets the light that the reflection lobe
-//! does not reflect. So a white dielectric neither gains nor loses energy.
+//! E_coat and E_fibres are the albedos of the coat and of the fibres. E_d is the largest channel of
+//! the albedo of the dielectric's reflection lobe. The diffuse lobe gets the light that the
+//! reflection lobe does not reflect. So a white dielectric neither gains nor loses energy.
 //!
 //! * The clear coat (factor κ, index 1.5, own normal) and the fibres (colour σ, [`sheen`]) dim all
 //!   lobes below them (`KHR_materials_clearcoat`, `KHR_materials_sheen`).
 //! * T is the reflection lobe mirrored to the far side (`KHR_materials_transmission`: thin wall).
-//! * `glass` is in [`glass`], thin films (`KHR_materials_iridescence`) are in [`fresnel`].
+//! * [`glass`] computes the term `glass`, and [`fresnel`] thin films (`KHR_materials_iridescence`).
 //! * f0 = min(((n − 1)/(n + 1))² colour, 1) specular, and f90 = specular. Here n is the index, and
 //!   `colour` and `specular` are the specular colour and factor (`KHR_materials_specular`).
-//! * Anisotropy stretches α of the base's reflection (`KHR_materials_anisotropy`).
+//! * Anisotropy stretches α of the base's microfacets (`KHR_materials_anisotropy`).
 //!
 //! Lobes with α < [`MIRROR_ALPHA`] are perfect mirrors: they can only be sampled, not evaluated.
 //!
-//! Each lobe is one file, with its parameters, its textures and its albedo, and a row of the table
-//! in [`lobes`].
+//! Each lobe has a file, with its parameters, its textures and its albedo. It also has a row in the
+//! table in [`lobes`].
 
 mod albedo;
 mod appearance;

@@ -43,8 +43,8 @@ impl Bsdf {
         let extras = appearance.extras.as_ref();
         let scene_from_local = local_frame(frame.shading, frame.tangent);
         let o = local_viewer(&scene_from_local, to_viewer);
-        // The base is a mirror if its α is below MIRROR_ALPHA. Anisotropy enlarges α along the
-        // tangent.
+        // The base is a mirror if its α is below MIRROR_ALPHA, and if anisotropy does not enlarge α
+        // along the tangent.
         let stretch = extras.map_or(0.0, |extras| extras.anisotropy);
         let mirror = roughness * roughness < MIRROR_ALPHA && stretch == 0.0;
         let across = (roughness * roughness).max(MIRROR_ALPHA);
@@ -85,8 +85,8 @@ impl Bsdf {
         let (reflected, for_compensation) = surface.seen(&surface.dielectric, dielectric_rise(o.z, ior), mean_rise);
         surface.dielectric_compensation = surface.compensation(for_compensation);
         surface.dielectric_albedo = (reflected * surface.dielectric_compensation).min(Vec3::ONE);
-        // Make the lobes, and choose among them with chances in proportion to their albedos. A
-        // viewer inside a solid sees no layers, since they lie on its outside.
+        // Make the lobes. The chance of a lobe is in proportion to its albedo. Layers lie on the
+        // outside of a solid, so a viewer inside the solid sees no layers.
         let seen_from_inside = solid && transmission > 0.0 && !front;
         let layers = extras.filter(|_| !seen_from_inside).map(|extras| &extras.layers);
         let lobes = Lobes::new(&surface, layers);
@@ -125,8 +125,8 @@ impl Bsdf {
         self.chances.iter().zip(transmits).any(|(&chance, transmits)| transmits && chance > 0.0)
     }
 
-    /// Returns the fraction of the light that a thin wall as smooth as a mirror passes without a
-    /// change of direction.
+    /// Returns the fraction of the light that passes without a change of direction. It is 0 unless
+    /// the surface is a thin wall as smooth as a mirror.
     pub(crate) fn straight(&self) -> Vec3 {
         self.lobes.straight(&self.facet)
     }

@@ -45,7 +45,7 @@ impl Wave {
     }
 }
 
-/// Returns the index of refraction at a wavelength.
+/// Returns the index of refraction at a wavelength, at least 1.
 pub(crate) fn index_at(ior: f32, dispersion: f32, nanometres: f32) -> f32 {
     (ior + (ior - 1.0) * dispersion / 20.0 * (523_655.0 / (nanometres * nanometres) - 1.5168)).max(1.0)
 }

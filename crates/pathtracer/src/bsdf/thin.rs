@@ -9,8 +9,8 @@ use super::lobe::{Facet, Light, Lobe, Sample, Surface, mean};
 /// The transmission lobe of a thin wall.
 pub(crate) struct Thin {
     color: Vec3,
-    /// Factor 1/E, with the albedo E of single scattering. It returns the light that single
-    /// scattering loses. Without compensation the factor is 1.
+    /// Factor 1/E, with the albedo E of single scattering. The factor restores the light that
+    /// single scattering loses. Without compensation it is 1.
     scale: f32,
 }
 

@@ -140,7 +140,7 @@ impl Bvh {
 }
 
 /// Cuts the boxes of large triangles into smaller boxes. Only opaque triangles are cut, since a
-/// traversal may test them twice without effect. The alpha or the tint of another triangle would be
+/// traversal may test them twice without effect. The alpha or the tint of other triangles would be
 /// evaluated twice.
 fn split_large(boxes: &mut Vec<Aabb>, primitives: &mut Vec<u32>, triangles: &[[Vec3; 3]], flags: &[u32]) {
     if triangles.is_empty() {

@@ -2,9 +2,10 @@
 //! that share a tree.
 //!
 //! obvhs builds a binary tree by parallel locally-ordered clustering and improves it by reinsertion
-//! (both Meister, Bittner 2018). That tree is collapsed to eight children per node. Subtrees of at
-//! most eight triangles become blocks in structure-of-arrays form, so that slab test and triangle
-//! test both work on a whole vector. The surface area heuristic chooses these subtrees.
+//! (both Meister, Bittner 2018). That tree is collapsed to eight children per node, with blocks of
+//! at most eight triangles as leaves. Nodes and blocks are structures of arrays, so the slab test
+//! and the triangle test each work on a whole vector. The surface area heuristic chooses the
+//! subtrees that become nodes and blocks.
 //!
 //! ```text
 //! top tree, render space ─▶ nodes ─▶ blocks                          loose triangles

@@ -11,8 +11,8 @@
 //!
 //! * The signs of the ray's direction d select near and far planes, which saves min and max. The
 //!   distance from the origin o to a plane at b is one fused multiply-add, b/d − o/d.
-//! * Postponed children stay sorted by distance, and are dropped when a nearer hit is known. Where
-//!   any hit suffices, the loop does not sort.
+//! * Postponed children stay sorted by distance, and are dropped when a nearer hit is known. The
+//!   loop for the transmittance does not sort, since its result does not depend on the order.
 //! * The whole loop is one function compiled for the instruction set.
 //! * A ray enters few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so preparing the ray takes a
 //!   notable part of the time. Values that only the test of a block needs therefore stay scalars.
@@ -595,8 +595,8 @@ impl Shear {
         }
     }
 
-    /// Returns true if the direction of `ray` has its largest component along the same axis as the
-    /// ray of this shear, with the same sign.
+    /// Returns true if the directions of `ray` and of this shear's ray have their largest component
+    /// along the same axis, with the same sign.
     #[inline(always)]
     pub(super) fn has_axes_of(&self, ray: &Ray) -> bool {
         let direction = ray.direction.to_array();

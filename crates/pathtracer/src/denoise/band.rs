@@ -12,8 +12,8 @@ use super::view::Window;
 
 /// Half width of a patch: patches are squares of 3 × 3 pixels.
 const PATCH: usize = 1;
-/// Difference of two patches that lowers a weight to about a third, in standard deviations of the
-/// noise of that difference.
+/// Difference of two patches, less its expected noise, that lowers a weight to about a third. The
+/// unit is the standard deviation of the noise of the difference.
 const COLOUR_SCALE: f32 = 0.8;
 /// Difference of normals that lowers a weight to about a third. The scales of the other guides
 /// below have the same meaning.
@@ -34,7 +34,8 @@ pub(super) const ANSWERS: usize = 3;
 /// samples: `[row][col][rgb]`.
 pub(super) type Answers = [[Vec<[f32; 3]>; 2]; ANSWERS];
 
-/// A region of a view, with `margin` pixels around it. Values outside of the picture are 0.
+/// A region of a view, with the margin that [`cut`](Self::cut) adds. Values outside of the picture
+/// are 0.
 struct Block {
     planes: [Vec<f32>; PLANES],
     width: usize,
@@ -80,8 +81,8 @@ pub(super) fn filter(
 }
 
 impl Block {
-    /// Collects pixels of `other`: for each pixel of `rows` of `frame` and of the margin around
-    /// them, the pixel whose index `place` returns.
+    /// Collects one pixel of `other` for each pixel of the rows `rows` of `frame`, and of a margin
+    /// around these rows. `place` returns the index in `other` for a row and a column of `frame`.
     fn cut(
         frame: &Frame,
         other: &Frame,
@@ -148,8 +149,8 @@ impl Scratch {
         }
     }
 
-    /// For each pixel of `centre`, adds the weighted pixel of `block` that is `shift` ([down,
-    /// right]) away to the sums of all answers.
+    /// Adds weighted pixels of `block` to the sums of all answers. The sums of a pixel of `centre`
+    /// get the pixel that is `shift` away from it, [down, right].
     fn add(
         &mut self,
         centre: &Block,
@@ -213,8 +214,8 @@ impl Scratch {
                     sum_g[x] += w * g[x];
                     sum_b[x] += w * b[x];
                 }
-                // the same weights also average the half that they come from, since the estimate of
-                // errors requires that answer
+                // the same weights also average the half that they come from: the answer for the
+                // estimate of errors
                 let [own_r, own_g, own_b] = [0, 1, 2].map(|c| values(half, c));
                 let weights = &mut own_weights.weights[half][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut own_weights.values[half];

@@ -1,21 +1,22 @@
-//! The choice between the filtered answers for a pixel.
+//! The choice between the candidates for a pixel: two filtered answers, and the radiance as
+//! rendered.
 
 use lumistack_core::Tensor;
 
 use super::band::{ANSWERS, Answers};
 use super::frame::{Frame, HALVES, VARIANCE, box_mean};
 
-/// Half the width of the square of pixels over which errors are averaged, before the answers'
+/// Half the width of the square of pixels over which errors are averaged, before the candidates'
 /// errors are compared.
 const ERROR_RADIUS: usize = 4;
-/// If the squared errors of two answers differ by this, the better answer gets e ≈ 2.7 times the
+/// If the squared errors of two candidates differ by this, the better one gets e ≈ 2.7 times the
 /// weight of the other. The unit is the variance of the noise.
 const SOFTNESS: f32 = 0.03;
 /// Number of candidates for a pixel: filtered by colours and guides, filtered by guides alone, as
 /// rendered.
 const CHOICES: usize = 3;
 
-/// Blends the answers for each pixel, with weights from their estimated errors. A pixel's estimate
+/// Blends the candidates of each pixel by weights from their estimated errors. A pixel's estimate
 /// leaves out the pixel itself, since otherwise the choice would follow the pixel's noise.
 pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
     let count = frame.rows * frame.cols;
@@ -40,10 +41,10 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
 /// Returns the weight of each candidate in every pixel. The weight follows from the candidate's
 /// squared error divided by the variance of the noise, averaged over the surrounding pixels.
 ///
-/// F_a is the answer from one half of the samples, and u_b is the picture of the other half. The
+/// F_a is a candidate from one half of the samples, and u_b is the picture of the other half. The
 /// mean of (F_a − u_b)² is the squared error of F_a plus the noise of u_b. This noise is equal for
-/// all answers. The filter returns the mean of the answers from both halves. The error of this mean
-/// is smaller than the mean error of the two answers, and `gain` is the difference.
+/// all candidates. The filter returns the mean of F_a and F_b. The error of this mean is smaller
+/// than the mean error of F_a and F_b, and `gain` is the difference.
 fn shares(frame: &Frame, halves: &[Vec<[f32; 3]>; 2], answers: [&[Vec<[f32; 3]>; 2]; CHOICES]) -> Vec<[f32; CHOICES]> {
     let count = halves[0].len();
     let (rows, cols) = (frame.rows, frame.cols);

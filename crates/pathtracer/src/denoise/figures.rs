@@ -3,7 +3,7 @@
 //! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks): pixels that were rendered
 //! twice more, with the results c₁ and c₂. The noise of c₁, the noise of c₂ and the picture F are
 //! independent. So the expectation of the product is F's squared error, for any filter. The mean of
-//! F minus the mean of the unbiased picture is the filter's mean bias.
+//! F minus the mean of the unbiased picture estimates the filter's mean bias.
 
 use lumistack_core::Tensor;
 

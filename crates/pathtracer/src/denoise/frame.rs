@@ -1,4 +1,4 @@
-//! A view as the filter sees it, and the search for one view's pixels in another view.
+//! A view in the form that the filter reads, and the search for one view's pixels in another view.
 
 use glam::{DVec2, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
@@ -30,7 +30,7 @@ pub(super) const GLOSS: usize = 18;
 pub(super) const ALPHA: usize = 19;
 /// Plane of the coverage.
 pub(super) const COVERED: usize = 20;
-/// Plane that is 1 for pixels inside the picture, and 0 for pixels outside of it.
+/// Plane of ones. In a block of `band.rs`, it is 0 where the block has no pixel of the picture.
 pub(super) const THERE: usize = 21;
 
 /// One view, a plane per value: `[plane][row][col]`.

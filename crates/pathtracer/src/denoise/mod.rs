@@ -1,5 +1,5 @@
-//! A filter for noisy views, guided by their surfaces, over all views of a light field together. It
-//! trades noise for bias.
+//! A filter for noisy views. It filters all views of a light field together, guided by the surfaces
+//! that they show. It trades noise for bias.
 //!
 //! ```text
 //! u = L / albedo                                           (textures are not filtered)
@@ -10,15 +10,15 @@
 //!         · (fraction of light that does not depend on the view)
 //! ```
 //!
-//! a and b are two renders, with half of the samples each, and u_a and u_b their pictures. The
+//! a and b are two renders, with half of the samples each. u_a and u_b are u of these renders. The
 //! weights for u_a are computed from u_b, so they are independent of the noise that they average.
 //!
-//! The curve k falls from 1 at distance 0. Guides are properties of the surfaces that the pixels
-//! show, such as normal, position and albedo. The pixel q runs over a window around p in p's own
-//! view. It also runs over small windows in neighbouring views, around the position where p's
+//! The curve k is 1 at distance 0, and falls to 0. Guides are properties of the surfaces that the
+//! pixels show, such as normal, position and albedo. The pixel q runs over a window around p in p's
+//! own view. It also runs over small windows in neighbouring views, around the position where p's
 //! surface point appears. If a point at depth Z is at x in view s, it is at x + (s − s')·Z in view
-//! s'. In an epipolar picture, this is a line. Views thus share their samples, and the remaining
-//! noise is similar in all views.
+//! s'. In an epipolar picture, these positions are on a line. Views thus share their samples, and
+//! the remaining noise is similar in all views.
 //!
 //! Every pixel has three candidates: its radiance as rendered, filtered by guides and colours, and
 //! filtered by guides alone. The result is their mean, in which candidates with smaller squared

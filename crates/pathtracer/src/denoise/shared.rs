@@ -13,13 +13,13 @@
 //! more rays than paths.
 //!
 //! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
-//! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at
-//! p_u, and falls to 0 if it sees another surface. This value follows from the distance of u's
-//! point from the plane of p's point. The weight is also multiplied by ρ_p of view u. Light from
-//! dark surfaces, which is noisy once it is divided by ρ_p, thus contributes little. Nothing is
-//! averaged over neighbouring pixels, so shadows and textures stay sharp up to a pixel's rounding.
-//! E is read at the pixel nearest to p_u. G stays as rendered, and so does D where no other view
-//! sees the surface.
+//! and s', a point at depth z moves by (s − s')·z. The weight w is ρ_p of view u, times a number
+//! from 0 to 1. This number is 1 if u sees the same surface at p_u. It falls to 0 with the distance
+//! of u's point from the plane of p's point, and is 0 if the normals differ too much. Light from
+//! dark surfaces is noisy once it is divided by ρ_p; with the factor ρ_p it contributes little.
+//! Nothing is averaged over neighbouring pixels, so shadows and textures stay sharp up to a pixel's
+//! rounding: E is read at the pixel nearest to p_u. G stays as rendered, and so does D where no
+//! other view sees the surface.
 //!
 //! So a point that hundreds of views see has the samples of all of them. Each step of an average
 //! costs one shift and one comparison. The averages over a row and then over a column of views take
@@ -72,7 +72,8 @@ struct Point {
     z_mm: f32,
     /// Unit normal, times 127; 0 if the surface does not scatter light by Lambert's law.
     normal: [i8; 3],
-    /// Weight of E, times 255: the reflectance of the surfaces that the paths hit.
+    /// Weight of E, times 255: the largest channel of the reflectance of the surfaces that the
+    /// paths hit.
     weight: u8,
 }
 
@@ -205,8 +206,8 @@ impl<'a> SharedLight<'a> {
 }
 
 impl MeanLight {
-    /// Returns the view of this number in the grid as radiance `[row][col][rgb]`. The mean light
-    /// replaces the light that the view itself measured.
+    /// Returns the view of this number in the grid as radiance `[row][col][rgb]`. Where other views
+    /// contributed to the mean light, it replaces the diffuse light of the view itself.
     pub fn on(&self, number: usize, view: &SplitView) -> Tensor<3> {
         let [rows, cols] = view.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);

@@ -112,8 +112,8 @@ impl Lights {
                 Some(_) => {}
             }
         }
-        // The chances follow power. One chance is for all local lights together, one for each light
-        // from infinity, and one for the environment.
+        // The chances follow power. One chance is for all local lights together, one for each
+        // directional or distant light, and one for the environment.
         let tree = LightTree::new(&emitters);
         let environment = EnvironmentLight::new(scene);
         let environment_power =
@@ -395,7 +395,8 @@ fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     kinds.iter().zip(sums).flat_map(|(powers, sum)| powers.iter().map(move |&power| weight(power, sum))).collect()
 }
 
-/// Returns the length `chance` of an interval in parts of [0, 1), rounded to whole parts.
+/// Returns the number of parts in an interval of length `chance`, rounded; [0, 1) has `parts` of
+/// them.
 #[inline]
 fn parts_of(chance: f32, parts: Parts) -> Parts {
     (chance * parts as f32 + 0.5) as Parts

@@ -82,8 +82,8 @@ impl PunctualLight {
         Some(LightSample { direction, end, weight: intensity / chance, inverse_pdf: 0.0 })
     }
 
-    /// Returns the direction to the light, the light's position (`None` at infinity), and the
-    /// irradiance that the light gives to a surface that faces it.
+    /// Returns the direction to the light, the light's position (`None` at infinity), and its
+    /// irradiance on a surface that faces it.
     fn sample(&self, from: Vec3, u: [f32; 2]) -> Option<(Vec3, Option<Vec3>, Vec3)> {
         match self.kind {
             LightKind::Directional => return Some((-self.direction, None, self.intensity)),

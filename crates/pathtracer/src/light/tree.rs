@@ -42,7 +42,7 @@ pub(crate) struct Receiver {
     /// for surfaces that light passes through.
     pub(crate) normal: Option<Vec3>,
     /// Cosine and sine of the tilt: the angle by which light may come from below the plane of the
-    /// surface. The tilt is not 0 for triangles that approximate a smooth surface.
+    /// surface. Only triangles that approximate a smooth surface have a tilt other than 0.
     pub(crate) tilt: [f32; 2],
 }
 
@@ -461,9 +461,9 @@ mod tests {
         }
     }
 
-    /// One light, chosen with the chance p, estimates the irradiance as E/p. The mean square of
-    /// this estimate is Σ E²/p. Its variance is much smaller with the tree's chances than with
-    /// chances by power.
+    /// A light of irradiance E, chosen with the chance p, estimates the irradiance of all lights as
+    /// E/p. The mean square of this estimate is Σ E²/p. Its variance is much smaller with the
+    /// tree's chances than with chances by power.
     #[test]
     fn the_tree_beats_a_choice_by_power() {
         let mut ratios = Vec::new();

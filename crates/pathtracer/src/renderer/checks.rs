@@ -7,7 +7,8 @@
 //! ```
 //!
 //! Here c₁ and c₂ are the two renders of a pixel, with independent noise. One pixel is drawn in
-//! every square of [`SPACING`] × [`SPACING`].
+//! every square of [`SPACING`] × [`SPACING`] pixels. If the edge of the picture cuts a square, the
+//! drawn pixel may be outside of the picture; this square then has no check.
 
 use lumistack_core::{NoProgress, Task, seed};
 use lumistack_display::FieldGeometry;
@@ -17,7 +18,7 @@ use super::{RenderError, Renderer};
 use crate::clamp::Clamped;
 use crate::settings::Settings;
 
-/// Edge of the squares of pixels, each of which holds one check.
+/// Edge of the squares of pixels; a square has at most one check.
 const SPACING: usize = 8;
 /// Stream of random numbers that chooses the pixels. No view uses it.
 const PLACES: u64 = 0xc4ec_0001;

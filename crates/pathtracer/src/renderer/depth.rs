@@ -64,8 +64,8 @@ mod tests {
     /// Tolerance in millimetres: the scene is about 100 mm large, and rays are 32-bit.
     const ROUNDED: f32 = 2e-3;
 
-    /// Makes a plane z = slant · x around `centre` in scene units, as two triangles of half size
-    /// `half`.
+    /// Makes a piece of the plane z = slant · x around `centre`, as two triangles. Its half width
+    /// and half height are `half`, in scene units.
     fn slanted(centre: Vec3, half: f32, slant: f32) -> Mesh {
         let corner = |x: f32, y: f32| centre + Vec3::new(x * half, y * half, slant * x * half);
         Mesh {

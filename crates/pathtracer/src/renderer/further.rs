@@ -6,8 +6,8 @@
 //! Such a ray takes a quarter of the time of a path.
 //!
 //! ```text
-//! paths of pixel i = n σ_i / σ_0       σ_i: standard deviation of the light of a path,
-//!                                      σ_0: the constant `OTHER` or `EDGE`,
+//! paths of pixel i = n σ_i / σ_0,      σ_i: standard deviation of the light of a path,
+//! from n to n (1 + `MOST`)             σ_0: the constant `OTHER` or `EDGE`,
 //!                                      n: paths of every pixel without further paths
 //! ```
 //!
@@ -61,8 +61,9 @@ const MOST: f32 = 8.0;
 const TEXTURE: f32 = 0.2;
 /// Number of further rays of a pixel of a texture, as a multiple of the samples of a pixel.
 const TEXTURE_RAYS: u32 = 3;
-/// The light of neighbouring pixels differs by noise, which falls with more samples, and by
-/// contrast, which does not. Above this number of samples, contrast is the greater part.
+/// Greatest number of samples by which the variance of neighbouring pixels is multiplied, as an
+/// estimate of the variance of a path. Above this number, contrast is the greater part of the
+/// pixels' variance, and contrast does not fall with more samples.
 const NOISY_SAMPLES: f32 = 4.0;
 
 /// Indices of the values by which the pixels around a pixel are compared.
@@ -79,9 +80,9 @@ struct Further {
 }
 
 impl Renderer {
-    /// Joins the values of [`FirstSums::apart`] for every pixel, and adds [further
-    /// paths](Settings::further_paths). Also updates the variance of the means. Does not advance
-    /// the progress.
+    /// Adds [further paths](Settings::further_paths) to a view whose pixels have the values of
+    /// [`FirstSums::apart`]. Returns [`MORE_PARTS`] values per pixel. Also updates the variance of
+    /// the means. Does not advance the progress.
     pub(super) fn with_further_paths(
         &self,
         window: &Window,
@@ -164,7 +165,7 @@ impl Renderer {
     }
 }
 
-/// Joins the values of [`FirstSums::apart`], and keeps the first `K` of each pixel.
+/// Applies [`join`] to every pixel.
 pub(super) fn joined<const K: usize>(apart: &Tensor<3>) -> Tensor<3> {
     let [rows, cols, _] = apart.shape();
     let mut joined = Tensor::zeros(["row", "col", "part"], [rows, cols, K]);

@@ -194,8 +194,9 @@ fn shared_light_has_the_samples_of_all_views() {
     }
 }
 
-/// A furnace, whose light is known: all that is seen has the radiance of its albedo. A pole moves
-/// in front of a wall from view to view, and the wall has two colours and a mirror between them.
+/// Under a sky of radiance 1 the pictures are known. A wall of two colours has the radiance of its
+/// albedo. A mirror between the colours, and a pole, have the radiance 1. The pole moves in front
+/// of the wall from view to view.
 #[test]
 fn further_paths_do_no_harm_where_views_share_no_light() {
     let (collector, cancel) = (Collector::default(), Cancel::default());
@@ -286,8 +287,8 @@ fn further_paths_keep_the_mean_and_the_bytes() {
     assert!(light.averaged(task).unwrap().on(0, &own) == own.radiance());
     let dark = Settings { max_bounces: 0, hide_environment: true, ..plain };
     assert!(split(&dark).radiance() == split(&Settings { further_paths: true, ..dark }).radiance());
-    // The average of 64 means may differ from the mean of two references by four standard errors of
-    // the average, plus the difference of the two references.
+    // The average of 64 means is compared with the mean of two references. The tolerance is four
+    // standard errors of the average, plus the difference of the two references.
     let truth = [1, 2].map(|seed| render(&renderer, [0, 1], 256, seed));
     let (first, second) = (mean(&truth[0]), mean(&truth[1]));
     let means = (0..64).map(|seed| mean(&split(&Settings { seed, ..settings }).radiance()));

@@ -140,8 +140,8 @@ fn irradiance_below_square(radiance: f64, half_width: f64, height: f64) -> f64 {
 
 #[test]
 fn a_square_light_has_its_form_factor() {
-    // test a small light far above the plane, a larger light, and a light so near that it fills
-    // almost the whole half space above the plane
+    // test a small light far above the plane, a larger light, and a light that fills almost the
+    // whole half space above the plane
     for (half_width, height) in [(0.1, 2.0), (0.5, 1.0), (1.0, 0.1)] {
         let mut scene = plane();
         let light = rectangle(Vec3::new(0.0, 0.0, height), -half_width * Vec3::X, half_width * Vec3::Y);
@@ -304,10 +304,10 @@ fn hundreds_of_lights_add_up() {
 }
 
 /// On a sphere of few triangles, the edge between light and dark is the edge of the smooth sphere.
-/// It does not follow the triangles. A point P of a triangle has the interpolated normal P/|P|.
-/// With the albedo ρ, the irradiance E and the direction d to the light, its radiance is L = ρ E
-/// max(P·d, 0) / (π |P|). The centre of the sphere is the origin, so |P| is between the distance of
-/// the largest triangle's middle and the radius.
+/// It does not follow the triangles. A point P of a triangle has the interpolated normal P/|P|. Its
+/// radiance is L = ρ E max(P·d, 0) / (π |P|), with the albedo ρ, the irradiance E and the direction
+/// d to the light. The centre of the sphere is the origin, so |P| is between the distance of the
+/// largest triangle's middle and the radius.
 #[test]
 fn hard_light_ends_where_the_smooth_surface_turns_away() {
     let (radius, divisions, irradiance) = (0.9f64, 12usize, 2.0f64);
