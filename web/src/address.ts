@@ -8,10 +8,10 @@ export class Address {
   private timer: ReturnType<typeof setTimeout> | undefined;
 
   /**
-  * Returns the part of the address after `#`, which describes a state. The text includes the
-  * viewing position, unless the view swings or looks straight ahead. With `always` the text always
-  * includes the position.
-  */
+   * Returns the part of the address after `#`, which describes a state. The text includes the
+   * viewing position, unless the view swings or looks straight ahead. With `always` the text always
+   * includes the position.
+   */
   static hash(state: State, slope: Slope, always: boolean): string {
     const still = always || (!state.swing && slope.some((value) => value !== 0));
     const text = toHash(state, still ? slope : undefined);

@@ -42,10 +42,10 @@ export class Surroundings {
 }
 
 /**
-* Returns the two views next to a slope, one on either side, each as [index, weight]. `slopes` must
-* be evenly spaced. If the slope is outside the range of `slopes`, the outermost view has all the
-* weight.
-*/
+ * Returns the two views next to a slope, one on either side, each as [index, weight]. `slopes` must
+ * be evenly spaced. If the slope is outside the range of `slopes`, the outermost view has all the
+ * weight.
+ */
 export function between(slopes: readonly number[], slope: number): [[number, number], [number, number]] {
   const last = slopes.length - 1;
   if (last === 0) return [[0, 1], [0, 0]];

@@ -27,9 +27,9 @@ export class StackContent implements Content {
   readonly frames: number[] = [];
   whole = false;
   /**
-  * Version of the module, the error map's colours, and the error that the last colour shows;
-  * undefined until the module has opened the preview.
-  */
+   * Version of the module, the error map's colours, and the error that the last colour shows;
+   * undefined until the module has opened the preview.
+   */
   about: { version: string; heat: string; heatTop: number } | undefined;
   private engine: Engine | undefined;
   /** Views of the target that have arrived, each as "row/column". */
@@ -99,8 +99,9 @@ export class StackContent implements Content {
   }
 
   /**
-  * Returns the mask of a layer in a frame. The index after the last layer stands for the backlight.
-  */
+   * Returns the mask of a layer in a frame. The index after the last layer stands for the
+   * backlight.
+   */
   mask(layer: number, frame: number): Shot {
     const { layers, backlight, field } = this.info;
     const { cols, rows } = layers[layer] ?? backlight ?? field;
@@ -188,9 +189,9 @@ export class FieldContent implements Content {
 }
 
 /**
-* Returns `frame` if it is in `frames`, the rising numbers of complete frames. Otherwise it returns
-* the last complete frame before `frame`, or else the first complete frame.
-*/
+ * Returns `frame` if it is in `frames`, the rising numbers of complete frames. Otherwise it returns
+ * the last complete frame before `frame`, or else the first complete frame.
+ */
 export function readyFrame(frames: readonly number[], frame: number): number {
   return frames.findLast((each) => each <= frame) ?? frames[0] ?? 0;
 }

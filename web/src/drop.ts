@@ -16,9 +16,9 @@ const RUNNING = /(\d+)\.[a-z]+$/i;
 const MOST_FILES = 20000;
 
 /**
-* Returns the dropped files by path, including the files in dropped folders. If there are more than
-* MOST_FILES files, it returns only a part of them.
-*/
+ * Returns the dropped files by path, including the files in dropped folders. If there are more than
+ * MOST_FILES files, it returns only a part of them.
+ */
 export async function filesOf(transfer: DataTransfer): Promise<Map<string, File>> {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.() ?? null);
   const files = new Map<string, File>();
@@ -43,9 +43,9 @@ export function filesByName(list: Iterable<File>): Map<string, File> {
 }
 
 /**
-* Returns the kind of the files. If the files are of no known kind, it throws a Problem that states
-* the expected and the found files.
-*/
+ * Returns the kind of the files. If the files are of no known kind, it throws a Problem that states
+ * the expected and the found files.
+ */
 export function recognize(files: ReadonlyMap<string, File>): Dropped {
   if (files.size === 0) throw new Problem("The drop contains no files.", WANTED, false);
   const json = [...files.keys()].filter((path) => /(^|\/)preview\.json$/.test(path)).sort((a, b) => a.length - b.length)[0];
@@ -79,10 +79,10 @@ function quiltOf(file: File): Dropped {
 }
 
 /**
-* Arranges views by their names in a grid: rows from the top, columns from the left. If the names
-* do not state a complete grid, the views have the order of their names. Then they form a square, if
-* every name has a number and the number of views is a square. Otherwise they form one row.
-*/
+ * Arranges views by their names in a grid: rows from the top, columns from the left. If the names
+ * do not state a complete grid, the views have the order of their names. Then they form a square,
+ * if every name has a number and the number of views is a square. Otherwise they form one row.
+ */
 export function gridOf(pictures: readonly (readonly [string, File])[]): File[][] {
   const named = pictures.map(([path, file]) => ({ file, name: path.replace(/^.*\//, "") })).sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   for (const pattern of ROW_COL) {

@@ -3,7 +3,7 @@
 // Attributes:
 //
 // * src: address of the preview
-// * renderer: "cpu" never uses WebGL2, and "webgl2" always does
+// * renderer: "cpu" never uses WebGL2; "webgl2" uses it even if it is slow
 // * wasm: URL of the module, if it is not beside the script
 // * theme: "dark" or "light" replaces the system's theme
 // * plain: shows the picture alone, for pages that bring their own controls
@@ -194,9 +194,9 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-  * Returns the RGBA bytes of the current picture, in the light field's size. In the side-by-side
-  * comparison these are the bytes of the display's picture alone, without the target.
-  */
+   * Returns the RGBA bytes of the current picture, in the light field's size. In the side-by-side
+   * comparison these are the bytes of the display's picture alone, without the target.
+   */
   async pixels(): Promise<ImageData> {
     const shot = this.shot();
     return shot ? this.stage.pixels(shot) : new ImageData(1, 1);
@@ -558,9 +558,9 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-  * Returns the seen pictures that other displays (headset, lenticular panel) show; undefined
-  * without patterns.
-  */
+   * Returns the seen pictures that other displays (headset, lenticular panel) show; undefined
+   * without patterns.
+   */
   private views(): Views | undefined {
     const info = this.content?.info;
     if (!info || this.content?.frames.length === 0) return undefined;
@@ -583,9 +583,9 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-  * True while the poster or small views replace the picture. The mean of only a few frames is
-  * noisy, so the picture appears when all frames are complete.
-  */
+   * True while the poster or small views replace the picture. The mean of only a few frames is
+   * noisy, so the picture appears when all frames are complete.
+   */
   private get isEarly(): boolean {
     const { content, state } = this;
     return state.mode === "perceived" && !content?.whole && (this.hasPoster || this.around !== undefined);

@@ -8,9 +8,9 @@ import WORKER from "worker:./worker.ts";
 let compiling: Promise<WebAssembly.Module> | undefined;
 
 /**
-* Compiles the WebAssembly module, at most once per page; after a failure a later call tries again.
-* The module is part of the page, or it is loaded from `url`, or from the script's folder.
-*/
+ * Compiles the WebAssembly module, at most once per page; after a failure a later call tries again.
+ * The module is part of the page, or it is loaded from `url`, or from the script's folder.
+ */
 function compile(url: string | null): Promise<WebAssembly.Module> {
   const get = async (): Promise<WebAssembly.Module> => {
     const inline = window.LUMISTACK_INLINE?.["wasm"];
@@ -62,9 +62,9 @@ export class Engine {
   }
 
   /**
-  * Calls a method of the thread. The thread answers calls in their order. The objects in `handed`
-  * are transferred to the thread, without a copy.
-  */
+   * Calls a method of the thread. The thread answers calls in their order. The objects in `handed`
+   * are transferred to the thread, without a copy.
+   */
   call<K extends keyof Methods>(name: K, args: Parameters<Methods[K]>, handed: Transferable[] = []): Promise<ReturnType<Methods[K]>> {
     return new Promise((resolve, reject) => {
       const id = ++this.last;

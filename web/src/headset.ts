@@ -78,7 +78,7 @@ class Theatre {
     private readonly views: Views,
   ) {
     this.program = link(gl, VERTEX, FRAGMENT);
-    // The trigger of a controller places the display in front of the viewer again.
+    // The trigger of a controller places the display in front of the user again.
     session.addEventListener("select", () => (this.place = undefined));
   }
 
@@ -124,9 +124,9 @@ class Theatre {
   }
 
   /**
-  * Requests a picture for an eye that has moved. Until the new picture arrives, the display shows
-  * the previous picture, at the display's current place.
-  */
+   * Requests a picture for an eye that has moved. Until the new picture arrives, the display shows
+   * the previous picture, at the display's current place.
+   */
   private update(eye: Eye, slope: Slope, distanceMm: number): void {
     const moved = Math.hypot(slope[0] - eye.slope[0], slope[1] - eye.slope[1]) > STILL || Math.abs(distanceMm - eye.distanceMm) > 1;
     if (eye.waits || (eye.ready && !moved)) return;

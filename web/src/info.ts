@@ -24,9 +24,9 @@ export interface Around {
   cols: number;
   rows: number;
   /**
-  * Slopes of the columns of views, in rising order, and slopes of the rows of views, in falling
-  * order.
-  */
+   * Slopes of the columns of views, in rising order, and slopes of the rows of views, in falling
+   * order.
+   */
   slope_x: number[];
   slope_y: number[];
 }
@@ -86,9 +86,9 @@ export function infoOf(json: string): Info {
 }
 
 /**
-* Returns the slopes at the edge of the zone along x and y. These slopes are never 0, since callers
-* divide by them.
-*/
+ * Returns the slopes at the edge of the zone along x and y. These slopes are never 0, since callers
+ * divide by them.
+ */
 export function zoneSlope(info: Info): Slope {
   return [Math.max(Math.tan(info.zone.x_rad), 1e-6), Math.max(Math.tan(info.zone.y_rad), 1e-6)];
 }

@@ -63,9 +63,9 @@ function isFlag(value: number): boolean {
 }
 
 /**
-* Reads a calibration file; messages name it by `name`. `plugins/quilt/src/weave.rs` reads the same
-* fields and has the same equations.
-*/
+ * Reads a calibration file; messages name it by `name`. `plugins/quilt/src/weave.rs` reads the same
+ * fields and has the same equations.
+ */
 export function calibrationOf(text: string, name: string): Calibration {
   const wrong = (place: string, expected: string, found: unknown): Problem =>
     new Problem(`${name}: ${place}expected ${expected}, found ${JSON.stringify(found) ?? "nothing"}.`, "Choose the panel's visual.json, as the maker's software stores it.", false);
@@ -115,10 +115,10 @@ export function calibrationOf(text: string, name: string): Calibration {
 }
 
 /**
-* Returns the slopes of the views, from the left. They are the slopes of the panel's cone. If the
-* viewing zone is narrower than the cone, the slopes are scaled to the zone, so that no view is
-* outside of the zone. The panel spreads these views over the cone, which makes depth flatter.
-*/
+ * Returns the slopes of the views, from the left. They are the slopes of the panel's cone. If the
+ * viewing zone is narrower than the cone, the slopes are scaled to the zone, so that no view is
+ * outside of the zone. The panel spreads these views over the cone, which makes depth flatter.
+ */
 export function slopesOf(info: Pick<Info, "zone">, { coneRad }: Pick<Calibration, "coneRad">, count: number): Slope[] {
   const half = Math.tan(coneRad / 2);
   const scale = Math.min(1, zoneSlope(info as Info)[0] / half);

@@ -16,9 +16,9 @@ interface Head {
   /** The text of preview.json if this page has another edition of it, otherwise null. */
   preview: string | null;
   /**
-  * Number and text of the newest message: a warning or an error of the last change. The text is
-  * empty if the change had no warning or error.
-  */
+   * Number and text of the newest message: a warning or an error of the last change. The text is
+   * empty if the change had no warning or error.
+   */
   said: number;
   message: string;
 }
@@ -126,7 +126,7 @@ class Guest {
     for (; this.on; await rest(LOOK_MS)) {
       const [x, y] = this.viewer.slope;
       const at = performance.now();
-      // A hidden page has no viewer. A message without a position reports this to the program.
+      // Nobody sees a hidden page. A message without a position reports this to the program.
       if (document.hidden) {
         if (sent) await this.send("");
         sent = undefined;
@@ -193,8 +193,8 @@ await customElements.whenDefined("lumistack-viewer");
 const viewer = document.querySelector("lumistack-viewer");
 if (viewer) {
   const bar = new Bar(viewer);
-  // The program omits this parameter if a tracker sends the viewer's position; then the page may
-  // not send it.
+  // The program omits this parameter if a tracker sends the head's position; then the page may
+  // not send a position.
   const word = new URL(import.meta.url).searchParams.get("viewer");
   if (word !== null) {
     const guest = new Guest(viewer, word);

@@ -113,9 +113,9 @@ export class Motion {
   }
 
   /**
-  * Starts one turn of `lengthS` seconds around the viewing zone, which begins and ends at the
-  * zone's left. After the turn the eye returns to its previous goal.
-  */
+   * Starts one turn of `lengthS` seconds around the viewing zone, which begins and ends at the
+   * zone's left. After the turn the eye returns to its previous goal.
+   */
   startTurn(lengthS: number): void {
     this.input();
     this.home = [this.goal[0], this.goal[1]];

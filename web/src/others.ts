@@ -11,9 +11,9 @@ import type { Slope } from "./state.js";
 export interface Views {
   readonly info: Info;
   /**
-  * Returns the picture for an eye, in the light field's size. Without `eyeMm` the eye's distance is
-  * the distance that the viewer's options set.
-  */
+   * Returns the picture for an eye, in the light field's size. Without `eyeMm` the eye's distance
+   * is the distance that the viewer's options set.
+   */
   picture(slope: Slope, eyeMm?: number): Promise<ImageBitmap>;
   /** Called after the last picture. */
   done(): void;
@@ -74,7 +74,7 @@ export class Others {
     this.face.at("others-status").textContent = text;
   }
 
-  /** Disables the buttons of displays that this browser or this content does not support. */
+  /** Disables the button of the headset if this browser or this content does not support a headset. */
   private async refresh(): Promise<void> {
     this.say("");
     const headset = this.face.at("headset") as HTMLButtonElement;
@@ -95,7 +95,7 @@ export class Others {
     this.face.at("others").append(canvas);
     this.woven = { canvas, name: `${fileName(views.info.title)}_${panel.cols}x${panel.rows}.png` };
     this.face.at("woven-row").hidden = false;
-    this.say(`Woven for ${panel.serial || "the panel"}: ${panel.cols} × ${panel.rows} pixels. Move this window to the panel, then fill its screen. Escape ends it.`);
+    this.say(`Woven for ${panel.serial || "the panel"}: ${panel.cols} × ${panel.rows} pixels. Move this window to the panel, then fill its screen. Escape leaves the full screen.`);
   }
 
   private async handOver(views: Views): Promise<void> {

@@ -14,11 +14,11 @@ export interface Layout {
 }
 
 /**
-* Returns the slopes of `count` views from left to right. They lie on the central row of the
-* target's views; if two rows are central, on the upper row. The row is divided into `count` equal
-* parts, and each view is at the centre of its part. If the target has A views per row, view i is at
-* the index (i + ½) / count · A − ½ of the row, as in the quilts of the command.
-*/
+ * Returns the slopes of `count` views from left to right. They lie on the central row of the
+ * target's views; if two rows are central, on the upper row. The row is divided into `count` equal
+ * parts, and each view is at the centre of its part. If the target has A views per row, view i is
+ * at the index (i + ½) / count · A − ½ of the row, as in the quilts of the command.
+ */
 export function slopesAcross({ views }: Pick<Info, "views">, count: number): Slope[] {
   const start = Math.floor((views.rows - 1) / 2) * views.cols;
   const row = views.slopes.slice(start, start + views.cols);
@@ -32,9 +32,9 @@ export function slopesAcross({ views }: Pick<Info, "views">, count: number): Slo
 }
 
 /**
-* A quilt with two further values: the end of its file's name, which states the layout, and the
-* width of a view over its height.
-*/
+ * A quilt with two further values: the end of its file's name, which states the layout, and the
+ * width of a view over its height.
+ */
 export interface Quilt {
   blob: Blob;
   ending: string;

@@ -19,7 +19,7 @@ export class Sheet {
     private readonly choose: (layer: number, frame: number) => void,
   ) {
     box.setAttribute("role", "group");
-    box.setAttribute("aria-label", "Masks: rows are layers from rear to front, columns are frames; arrow keys move");
+    box.setAttribute("aria-label", "Masks: rows are layers from front to rear, columns are frames; arrow keys move");
     box.addEventListener("keydown", (event) => this.key(event));
   }
 
@@ -119,9 +119,9 @@ export class Sheet {
 }
 
 /**
-* Returns the rows of the sheet from top to bottom: the layers from front to rear, then the
-* backlight.
-*/
+ * Returns the rows of the sheet from top to bottom: the layers from front to rear, then the
+ * backlight.
+ */
 function rowNames(info: Info): { layer: number; name: string; detail: string }[] {
   const count = info.layers.length;
   const rows = info.layers.map((layer, i) => ({
@@ -145,9 +145,9 @@ export function sizeOf(info: Info, layer: number): [number, number] {
 }
 
 /**
-* Returns the index of the last row of masks: the row of a directional backlight, otherwise the row
-* of the last layer.
-*/
+ * Returns the index of the last row of masks: the row of a directional backlight, otherwise the row
+ * of the last layer.
+ */
 export function lastMask(info: Info): number {
   return Math.max(info.layers.length - (info.directional && info.backlight ? 0 : 1), 0);
 }

@@ -4,9 +4,9 @@ import type { Scene, Size } from "./painter.js";
 import type { Path } from "./state.js";
 
 /**
-* A picture to show: of a stack of patterns, or of a light field. The picture of a light field is at
-* a position (u, v) between the views, with u from the left and v from the top, both 0..1.
-*/
+ * A picture to show: of a stack of patterns, or of a light field. The picture of a light field is
+ * at a position (u, v) between the views: u from the left, v from the top, both 0..1.
+ */
 export type Shot = Scene | { kind: "between"; u: number; v: number };
 
 export interface StageEvents {
@@ -47,7 +47,7 @@ export class Stage {
     this.busy = false;
   }
 
-  /** Sets the size of the box in CSS pixels. */
+  /** Sets the size of one picture on the page, CSS pixels. The exploded stack is drawn in this size. */
   resize(width: number, height: number): void {
     const scale = Math.min(devicePixelRatio || 1, 2, MOST_PX / Math.max(width, height, 1));
     this.size = [Math.max(Math.round(width * scale), 1), Math.max(Math.round(height * scale), 1)];

@@ -54,9 +54,9 @@ const methods = {
     field = LightField.from_quilt(new Uint8Array(picture.data.buffer), picture.width, picture.height, cols, rows);
   },
   /**
-  * Returns the picture at the position (u, v) between the views. u is 0..1 from the left, v is 0..1
-  * from the top.
-  */
+   * Returns the picture at the position (u, v) between the views. u is 0..1 from the left, v is
+   * 0..1 from the top.
+   */
   between(u: number, v: number): ImageData {
     return new ImageData(new Uint8ClampedArray(field!.render(u, v)), field!.cols(), field!.rows());
   },

@@ -69,10 +69,10 @@ for (const name of CASES) {
 }
 
 /**
-* Compares a picture with the reference L̃/β. `db` is a PSNR with peak 1: it compares the picture's
-* linear values, divided by `scale`, with the reference, clipped at `white`. `mean` and `deviation`
-* are the mean and the standard deviation of the picture's values.
-*/
+ * Compares a picture with the reference L̃/β. `db` is a PSNR with peak 1: it compares the picture's
+ * linear values, divided by `scale`, with the reference, clipped at `white`. `mean` and `deviation`
+ * are the mean and the standard deviation of the picture's values.
+ */
 function compare(rgba, reference, scale, white) {
   let [squares, sum, sum2] = [0, 0, 0];
   for (let p = 0; p < reference.length / 3; p++) {

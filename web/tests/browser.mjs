@@ -36,9 +36,9 @@ export async function site(preview) {
 }
 
 /**
-* Opens a page. `page.trouble` collects the errors and warnings of its console. `init` is a script
-* that runs first, and `seen` is called with every request.
-*/
+ * Opens a page. `page.trouble` collects the errors and warnings of its console. `init` is a script
+ * that runs first, and `seen` is called with every request.
+ */
 export async function open(browser, url, options = {}) {
   const { init, seen, ...rest } = options;
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, reducedMotion: "reduce", ...rest });
@@ -74,9 +74,9 @@ export function complete(page) {
 }
 
 /**
-* Returns the current picture as {width, height, data: Buffer of RGBA}, seen from `slope` if it is
-* given.
-*/
+ * Returns the current picture as {width, height, data: Buffer of RGBA}, seen from `slope` if it is
+ * given.
+ */
 export async function pixels(page, slope) {
   const { width, height, text } = await page.evaluate(async (at) => {
     const viewer = document.querySelector("lumistack-viewer");

@@ -45,7 +45,7 @@ async function resize(page, width, height) {
 /** Waits until the work is done. Returns the PSNR that the page computes, and a seen picture. */
 async function solved(page, wait) {
   await wait(() => document.documentElement.dataset.stage === "done");
-  // The page shows the last patterns shortly after it reports the end of the work.
+  // The viewer may draw the last patterns shortly after the page reports the end of the work.
   await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 1000)));
   return { psnr: await page.evaluate(() => document.documentElement.dataset.psnr), seen: await pixels(page, [0.05, -0.03]) };
 }

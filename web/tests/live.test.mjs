@@ -134,8 +134,8 @@ test("the view acts as a tracked head while the switch is on", { skip }, async (
   assert.equal(zone(), 1, "the view moved the viewer before the switch was on");
   await page.getByLabel("The display follows my view").check();
   await until("rays near the view", () => zone() === 0);
-  // A mouse at rest is still treated as a viewer, also after a time in which a silent tracker would
-  // be ignored.
+  // A view that does not move still counts as a tracked head, even after the time after which a
+  // silent tracker is ignored.
   await new Promise((resolve) => setTimeout(resolve, 2500));
   assert.equal(zone(), 0);
   await page.screenshot({ path: join(SHOTS, "live-follows.png") });
@@ -145,7 +145,7 @@ test("the view acts as a tracked head while the switch is on", { skip }, async (
   await until("the whole zone", () => zone() === 1);
   await page.keyboard.press("f");
   await until("rays near the view again", () => zone() === 0);
-  // A page that is closed has no viewer, so the whole zone has weight 1 again.
+  // A closed page has no view, so the whole zone has weight 1 again.
   await page.close();
   await until("the whole zone again", () => zone() === 1);
   assert.deepEqual(page.trouble, []);

@@ -9,7 +9,7 @@ import { unpacked } from "./saved.mjs";
 import { serve } from "./server.mjs";
 
 const SETTINGS = "preset=paper-three-layer&cols=96&zone_samples=200&iterations=2";
-/** A task that takes longer, milliseconds, can delay a picture. Other programs on the machine also make tasks long, so a few are allowed. */
+/** Duration above which a task is long, milliseconds, and number of allowed long tasks. Other programs on the machine also make tasks long. */
 const LONG_MS = 50;
 const MOST_LONG = 2;
 /** Smallest rate of pictures, per second. */

@@ -16,10 +16,10 @@ import { stripes } from "./stripes.mjs";
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const SCENES = join(dirname(fileURLToPath(import.meta.url)), "../../scenes");
 /**
-* Largest root mean square difference between the patterns of the page and of the command. It is
-* above 0, since page and command use different instructions of the processor, and the command
-* rounds views when it caches them.
-*/
+ * Largest root mean square difference between the patterns of the page and of the command. It is
+ * above 0, since page and command use different instructions of the processor, and the command
+ * rounds views when it caches them.
+ */
 const SAME = 2e-3;
 /** Largest difference between the PSNR that the page reports and the PSNR that the command reports, dB. */
 const SAME_DB = 0.01;

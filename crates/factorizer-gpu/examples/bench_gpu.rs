@@ -25,8 +25,7 @@ use lumistack_factorizer_gpu::{Device, Limits, adapters};
 
 /// Width of the display, millimetres.
 const WIDTH_MM: f64 = 473.76;
-/// Number of updates before the timed ones. The second update extrapolates for the first time, so
-/// it compiles programs.
+/// Number of untimed updates between the first update and the timed ones.
 const WARM_UP: usize = 2;
 
 /// A display, and the number of views of its light field.

@@ -9,7 +9,7 @@ use crate::wait;
 pub struct Adapter {
     /// Name of the adapter.
     pub name: String,
-    /// Interface to the adapter: Vulkan, Metal, Direct3D 12 or WebGPU.
+    /// Interface to the adapter: `vulkan`, `metal`, `dx12` or `browserwebgpu`.
     pub backend: String,
     /// Kind: `discrete`, `integrated`, `virtual`, `software` or `other`.
     pub kind: &'static str,

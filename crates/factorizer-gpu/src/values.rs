@@ -70,8 +70,8 @@ impl Values {
         }
     }
 
-    /// Exchanges the current values and the values before the last update. A second call exchanges
-    /// them back.
+    /// Exchanges `current` and `next`. The first call after an update makes the new values current;
+    /// a second call makes the values before the update current again.
     pub(crate) fn swap_next(&mut self) {
         std::mem::swap(&mut self.current, &mut self.next);
     }

@@ -291,7 +291,7 @@ fn bands_change_nothing() {
 }
 
 /// Sums by subgroups and by workgroups differ in the order of their terms alone. The sums decide
-/// when a solver restarts, so the patterns are compared too.
+/// when a solver restarts, so the emissions are compared too.
 #[test]
 fn subgroups_change_sums_by_rounding_alone() {
     let Some(device) = device() else { return };

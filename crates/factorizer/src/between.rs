@@ -6,7 +6,7 @@
 //! pixel's column, so each pixel collects its sums:
 //!
 //! ```text
-//! for every part of line j, some columns x:
+//! for every part of line j (some columns x):
 //!     low = the high sums of line j − 1 at x,  high = 0
 //!     for every row of rays between the lines j and j + 1, for every block of pixels:
 //!         sums = Σ over view columns: (1 − t_x) · (w e a_m, w a_m a_k) of rays between x and x + 1
@@ -15,9 +15,9 @@
 //!     step the pixels by low, keep high for line j + 1
 //! ```
 //!
-//! The terms a_m and e of a ray are computed once, with one ray per lane. A ray that reads pixel x
-//! − 1 with the share 1 − t_x reads pixel x with the share t_x. So a second vector has the terms of
-//! the first vector, moved up by one lane. Lane 0 of the second vector is the last lane of the
+//! The terms a_m and e of a ray are computed once, with one ray per lane. A ray reads pixel x with
+//! the share 1 − t_x, and pixel x + 1 with the share t_x. So a second vector has the terms of the
+//! first vector, moved up by one lane. Lane 0 of the second vector is the last lane of the
 //! previous block. Shares are applied like weights: the terms are multiplied by the root of the
 //! share, as by √w.
 //!
@@ -171,8 +171,7 @@ impl BetweenBand<'_> {
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
-        // If the previous line was not updated here, the rays between it and this line are summed
-        // again.
+        // If this band did not update the previous line, sum the rays between the two lines again.
         if !follows {
             self.scratch.high.fill(0.0);
             self.scratch.high_error = 0.0;
@@ -475,7 +474,8 @@ impl Reads<'_> {
         let (rays, view, x) = (self.rays, self.view, self.x);
         // SAFETY: guaranteed by the caller
         unsafe {
-            // a_m is the product of √w and the other factors' values; L̃ also needs the own values
+            // a_m is the product of √w and the other factors' values; L̃ also needs the values of
+            // the factor under update
             let mut a = [V::splat(0.0); R];
             if self.fresh {
                 let fractions = &rays.fractions[view * (rays.others_per_view + 1)..][..rays.others_per_view + 1];

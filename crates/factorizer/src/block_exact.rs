@@ -14,14 +14,14 @@
 //! * Under nearest sampling the pixels of a layer are independent, so an update is exact in the
 //!   limit of many sweeps.
 //! * Under bilinear sampling an update is exact for a separable quadratic that bounds the objective
-//!   from above. In both cases the objective never rises.
+//!   from above. With either sampling the objective never rises.
 //! * If layers rotate polarization, L̃ is not linear. A step then takes the curvature at the
 //!   current point. If the objective rises, the step is repeated with an upper bound of the
 //!   curvature.
 //!
-//! Between iterations the patterns are extrapolated along their last step. A rise of the objective
-//! causes a restart. Source: Ang and Gillis, "Accelerating nonnegative matrix factorization
-//! algorithms using extrapolation", Neural Computation 31, 2019.
+//! After an update, the extrapolating solver also extrapolates the factor along its last step. A
+//! rise of the objective causes a restart. Source: Ang and Gillis, "Accelerating nonnegative matrix
+//! factorization algorithms using extrapolation", Neural Computation 31, 2019.
 
 use lumistack_core::Cancel;
 use lumistack_display::{Formation, LayerStack};
@@ -64,7 +64,7 @@ impl Method for BlockExact {
     }
 }
 
-/// The block-exact solver with extrapolation between iterations and restart.
+/// The block-exact solver with extrapolation and restarts.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Extrapolated;
 

@@ -19,8 +19,8 @@ pub(crate) const AHEAD: usize = 2;
 /// is read only once.
 const TARGET_AHEAD: usize = 64;
 
-/// Number of views that are buffered before their terms are added to the sums. The buffers of 169
-/// views together would take twice the first-level cache.
+/// Number of views that are buffered before their terms are added to the sums. The buffers of
+/// 13 × 13 views would take twice the first-level cache.
 pub(crate) const GROUP: usize = 32;
 
 /// Buffers of one block of pixels. The derivatives a_m, the errors e, βL and L̃ (see `step.rs`)
@@ -276,7 +276,8 @@ pub(crate) struct Group {
 }
 
 /// Adds the terms of a group of views to the sums. If `SHARED` is true, the terms of each view are
-/// multiplied by the share with which the view's rays read the line under update.
+/// multiplied by the view's share: the weight of the line under update in the values that the
+/// view's rays read.
 ///
 /// # Safety
 /// The machine has `V`'s instruction set, and the buffers hold as many views as the group.
@@ -327,8 +328,7 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
 /// The buffers of a block's views, to be summed.
 pub(crate) struct Tiles<'a, const SHARED: bool> {
     pub(crate) group: Group,
-    /// For each view, the share with which its rays read the line under update; empty if `SHARED`
-    /// is false.
+    /// For each view, its share, see [`sum_views`]; empty if `SHARED` is false.
     pub(crate) shares: &'a [f32],
     pub(crate) products: &'a [f32],
     pub(crate) errors: &'a [f32],
@@ -336,7 +336,7 @@ pub(crate) struct Tiles<'a, const SHARED: bool> {
 }
 
 impl<const SHARED: bool> Tiles<'_, SHARED> {
-    /// Returns `value` times the share with which the view's rays read the line under update.
+    /// Returns `value` times the view's share, see [`sum_views`].
     #[inline(always)]
     unsafe fn shared<V: Lanes>(&self, view: usize, value: V) -> V {
         // SAFETY: guaranteed by the caller

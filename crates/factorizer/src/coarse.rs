@@ -1,6 +1,6 @@
 //! A problem at half the resolution, whose solution is a start for the whole problem.
 //!
-//! Low frequencies converge at half the resolution at a quarter of the cost. Field and layers keep
+//! At half the resolution, low frequencies converge at a quarter of the cost. Field and layers keep
 //! half their pixels per axis. The parallax between two views is half as many coarse pixels as fine
 //! pixels, so fewer views suffice. On an axis with an odd number of at least 9 views, only every
 //! second view is kept, if the backlight is uniform. Lenslets, angular bins and frames stay the
@@ -124,8 +124,8 @@ pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) ->
 /// Positions of fine pixels between coarse pixels of twice the pitch, around the same centre.
 ///
 /// In the list of coarse pixels, the first pixel and the last pixel are repeated once. Then fine
-/// pixel 2k lies between entries k and k + 1, and fine pixel 2k + 1 between entries k + 1 and k +
-/// 2.
+/// pixel 2k lies between entries k and k + 1, and fine pixel 2k + 1 between entries
+/// k + 1 and k + 2.
 struct Between {
     /// For an even and for an odd fine pixel: the pixel's position between its two entries of the
     /// list, 0..1.
@@ -162,7 +162,7 @@ impl Between {
 /// centre.
 ///
 /// For each coarse pixel, the result has the first fine pixel that it covers, and the shares of
-/// this fine pixel and the next two fine pixels.
+/// three fine pixels: this one and the next two.
 pub(crate) fn cover(fine: usize, coarse: usize) -> Vec<(usize, [f32; 3])> {
     (0..coarse)
         .map(|i| {

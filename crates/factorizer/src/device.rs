@@ -46,9 +46,8 @@ pub struct Begin {
     pub tries_local: bool,
 }
 
-/// Smallest ratio of the difference error − gain to the error at which this difference is used as
-/// the remaining error. A smaller difference would be mostly rounding, since the gain's terms are
-/// f32.
+/// The remaining error after a step is error − gain, if it is more than this fraction of the error.
+/// A smaller difference would be mostly rounding, since the gain's terms are f32.
 const LEAST_LEFT: f64 = 0.01;
 
 /// The patterns of a run, on any device.
@@ -159,7 +158,7 @@ pub trait Updater {
 
     /// Computes the KKT residual. For every value, an exact coordinate step within the box would
     /// change the emission by some amount. The residual is the root mean square of these amounts
-    /// over all values. It is 0 at a first-order (KKT) point.
+    /// over all values that may change. It is 0 at a first-order (KKT) point.
     fn kkt_residual(&mut self) -> f64 {
         self.over_all(Rule::KktResidual)
     }

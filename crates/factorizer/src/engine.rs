@@ -163,9 +163,9 @@ impl Engine {
         self.plan.target.weight_scale
     }
 
-    /// Returns true if the fast kernel updates factor `n`, since all rays of a view read it at a
-    /// constant shift. The fast kernel is used even if rays read other factors between columns,
-    /// since the kernel of [`between`] was no faster.
+    /// Returns true if the kernel of [`gather`] updates factor `n`: all rays of a view read the
+    /// factor at a constant shift. This also holds if rays read other factors between columns:
+    /// there the kernel of [`between`] was no faster.
     pub fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
     }
@@ -232,8 +232,7 @@ impl Engine {
             },
         );
         let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
-        // all three channels of a tied response share one value, whose gain is thus counted three
-        // times
+        // all three channels of a tied response share one value, so its gain is counted three times
         let gain = if response.is_tied() { gain / 3.0 } else { gain };
         respond::respond(response, stored, &mut self.factors[n].values);
         Outcome { error: outcome.error, gain }

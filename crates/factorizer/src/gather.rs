@@ -147,8 +147,8 @@ impl GatherLine<'_, '_> {
         let own = [Some(step.values.as_ptr()), latest].into_iter().flatten();
         let own = own.flat_map(|line| (0..frames).map(move |frame| line.wrapping_add(frame * stride)));
         let list = rays_through(std::mem::take(rays), plan, factors, at, own, spare);
-        // blocks begin at multiples of a vector's length; the first block holds the first column
-        // that any ray reads
+        // blocks begin at multiples of a vector's length from the first column; the first block
+        // holds the first column that any ray reads
         let (outer, inner) = (list.outer(), list.inner());
         let first = layout.pad + (outer.start.max(layout.pad) - layout.pad) / lanes * lanes;
         let end = outer.end.min(layout.pad + layout.cols());

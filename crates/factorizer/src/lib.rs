@@ -17,7 +17,8 @@
 //!         ──▶ re-optimization on the levels of panels of few bits ──▶ LayerStack
 //!
 //! Run::step, factor by factor:
-//!     gather (constant shifts), scatter (any table) or sums (other formations)
+//!     gather (constant shifts), between (constant shifts of fractions of a pixel),
+//!     scatter (any table) or sums (other formations)
 //!     ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
 //! ```
 //!

@@ -47,7 +47,7 @@ pub(crate) struct LineStep<'a> {
     /// Columns that rays can hit.
     pub(crate) columns: std::ops::Range<usize>,
     pub(crate) stride: usize,
-    /// The values that rays read, of all frames.
+    /// The values of all frames, which the step replaces.
     pub(crate) values: &'a mut [f32],
     /// The extrapolation's factor β_k, and this line's values in the last iterate.
     pub(crate) extrapolation: Option<(f32, &'a mut [f32])>,

@@ -14,7 +14,8 @@ const SAME_WEIGHT: f32 = 1e-6;
 /// Smallest number of columns of a [`Piece`] that inner loops read by its constant shift. Shorter
 /// pieces are read through the tables of pixel indices.
 const SHORTEST_PIECE: usize = 8;
-/// Number of rays, weighted by their shares, up to which a pixel's sums stay in f32.
+/// Largest number of rays of a pixel for which its sums stay in f32. A ray counts by the weight of
+/// the pixel in the value that the ray reads.
 ///
 /// With more rays, all entries of a pixel's Gram matrix become nearly equal. The matrix is then
 /// nearly singular, and the rounding of its sums shows. Sums over 64 rays in f32 moved values by
@@ -29,7 +30,7 @@ pub(crate) struct FactorMap {
     pub(crate) x: Vec<ColumnTaps>,
     /// Per view row, the lines that each field row's rays read.
     pub(crate) y: Vec<Vec<LineTap>>,
-    /// Per view row, the field rows whose rays read each line.
+    /// Per view row and line, the field rows whose rays read the line, each with the line's weight.
     rays: Vec<RaysOfLine>,
     /// Per view row and line, the field rows whose rays read between this line and the next line.
     /// Each entry also has the share of the rays' sums that the next line gets.
@@ -99,18 +100,19 @@ pub(crate) struct LineTap {
 }
 
 /// The field rows whose rays read each line, for one view row. If layer and field have the same
-/// pitch, a line has up to two field rows.
+/// pitch, at most two field rows read a line.
 #[derive(Clone, Debug)]
 struct RaysOfLine {
     /// Line j has `entries[starts[j]..starts[j + 1]]`.
     starts: Vec<u32>,
-    /// Field row, and the share with which this row's rays read the line.
+    /// Field row, and a weight in the values that this row's rays read: that of line j, or in
+    /// [`FactorMap::after`] that of line j + 1.
     entries: Vec<(u32, f32)>,
 }
 
 impl FactorMap {
-    /// Returns the valid field rows whose rays read `line`, each with the share with which its rays
-    /// read the line.
+    /// Returns the valid field rows whose rays read `line`. Each entry also has the weight of `line`
+    /// in the values that the row's rays read.
     #[inline(always)]
     pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.rays[view_y].of_line(line)
@@ -250,7 +252,7 @@ impl ColumnTaps {
 }
 
 /// If the weight of one of a tap's two pixels is only rounding, returns a tap that reads the other
-/// pixel alone. Without this, rays that hit pixels exactly would read single pixels in some columns
+/// pixel alone. Otherwise rays that hit pixels exactly would read single pixels in some columns
 /// and pairs in others.
 pub(crate) fn snapped(tap: Tap) -> Tap {
     match tap.t {

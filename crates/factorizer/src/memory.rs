@@ -35,7 +35,8 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
 pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, window: u64) -> u64 {
     /// Bytes of a small page.
     const PAGE: u64 = 4096;
-    /// Bytes of the references to a field row of a view in three channels, while rows are sorted.
+    /// While rows are sorted, bytes of the references to one field row of one view in three
+    /// channels.
     const PLACES: u64 = 96;
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
     let (views, rows, threads) = (view_rows * view_cols, geometry.rows as u64, threads as u64);

@@ -11,8 +11,9 @@
 //!
 //! Layers are updated in sequence, rear to front, then the directional backlight by the same rule.
 //! Each step minimizes, over the box, a separable quadratic that bounds the objective from above.
-//! So the objective never rises. This holds for all weights w ≥ 0. It also holds under bilinear
-//! sampling, where each term of the sums is multiplied by the weight of pixel j in the ray.
+//! So the objective never rises. This holds for all weights w ≥ 0, and also under bilinear
+//! sampling. There each term of the sums is multiplied by the weight of pixel j in the value that
+//! the ray reads.
 //!
 //! The lower end of the box is at least [`FLOOR`], since a value of 0 would stay 0. A pixel keeps
 //! its value if no weighted ray hits it or if its denominator is below f32's normal range.

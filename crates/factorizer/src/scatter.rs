@@ -1,7 +1,7 @@
 //! Updates the lines of a factor that is not at a constant shift. (At a constant shift, a ray's
-//! column in the factor is its column in the view plus a constant.) There are three such cases.
-//! Rays read the factor between pixels, at shifts that vary; or several field pixels share one
-//! pixel of the factor; or the factor has another pitch than the field.
+//! column in the factor is its column in the view plus a constant.) There are three such cases:
+//! rays read the factor between pixels, at shifts that vary; several field pixels share one of its
+//! pixels; or its pitch differs from the field's.
 //!
 //! A ray reads the factor between lines j and j + 1, and between columns i and i + 1. So the sums
 //! of [`gather`](crate::gather) are added to four pixels, with the shares (1 − t_y, t_y) and
@@ -136,8 +136,7 @@ impl ScatterBand<'_> {
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
-        // If the previous line was not updated here, the rays between it and this line are summed
-        // again.
+        // If this band did not update the previous line, sum the rays between the two lines again.
         if !follows {
             self.scratch.lines.iter_mut().for_each(LineSums::clear);
             if at.line > 0 {

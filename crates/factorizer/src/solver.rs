@@ -28,9 +28,9 @@ pub trait Solver: Sync {
 pub trait Run {
     /// Runs one iteration: updates every factor once.
     ///
-    /// Fails when cancelled; the patterns so far remain usable. The check is made per line of a
-    /// factor, or per factor on a device. The iteration also fails if the device, and with it the
-    /// patterns, are lost.
+    /// Fails when cancelled; the patterns so far remain usable. Cancellation is checked
+    /// before every line of a factor, on a device before every factor. The iteration also fails if
+    /// the device, and with it the patterns, are lost.
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError>;
 
     /// Computes the objective of the current patterns.
@@ -45,9 +45,10 @@ pub trait Run {
 
     /// Computes the KKT residual: the distance of the patterns from the first-order conditions.
     ///
-    /// For every value, an exact coordinate step within the box would change the emission by √Σ w
-    /// ΔL̃², summed over the rays through the pixel. The residual is the root mean square of these
-    /// changes over all values. The weights w are relative to the largest weight.
+    /// For every value, an exact coordinate step within the box would change the emission by
+    /// √Σ w ΔL̃², summed over the rays through the pixel. The residual is the root mean square of
+    /// these changes over all values that may change. The weights w are relative to the largest
+    /// weight.
     fn kkt_residual(&mut self) -> f64;
 
     /// Ends a run: sets unlit values to the darkest value that the hardware shows. Returns the KKT

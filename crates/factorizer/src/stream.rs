@@ -1,10 +1,10 @@
 //! One colour channel of a display whose light field is larger than memory.
 //!
 //! The target stays in its mapped file and is read row by row. The patterns are returned row by
-//! row. A layer exists once, if all rays of a view read it at a constant shift; otherwise an update
-//! needs a second copy of it. Channels are independent, so a colour display is three such problems
-//! in sequence. Updates are block-exact without extrapolation, which would need a further copy of
-//! all patterns.
+//! row. If all rays of a view read a layer at a constant shift, one copy of the layer is in memory;
+//! otherwise an update needs a second copy. Channels are independent, so a colour display is three
+//! such problems in sequence. Updates are block-exact without extrapolation, which would need a
+//! further copy of all patterns.
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_core::{Cancel, Cancelled};
@@ -81,7 +81,9 @@ impl ChannelRun {
         let values = (*target).as_ref();
         let unsuitable = |why: &'static str| Err(FactorizeError::Unsuitable { solver: "one channel", why });
         if values.len() != count || geometry.cols < PAD {
-            return unsuitable("expected a target of the geometry's size with at least 16 columns, found another size");
+            return unsuitable(
+                "expected a target of the geometry's size with at least 16 columns, found another size or fewer columns",
+            );
         }
         if display.layers.iter().any(|layer| layer.response().is_some()) {
             return unsuitable("expected layers without blur, crosstalk, filters or tied channels, found one of these");

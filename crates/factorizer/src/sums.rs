@@ -49,8 +49,8 @@ impl SumLine<'_, '_> {
     }
 }
 
-/// Adds the terms of all rays through a line to the line's sums. Returns Σ w e², with each ray
-/// weighted by its share in the line.
+/// Adds the terms of all rays through a line to the line's sums. Returns Σ w e², where
+/// each ray also has the weight of the line in the value that it reads.
 fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bool, scratch: &mut Scratch) -> f64 {
     let map = &plan.maps[at.factor];
     let (frames, stride) = (plan.frames, map.layout.stride);
@@ -69,7 +69,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         &mut *scratch;
                     let (e, weighted) = (&mut e[..len], &mut weighted[..len]);
                     let weigh = |values: &[f32], to: &mut [f32]| plan.row.weigh(values, line_weight, weights, to);
-                    // compute the error e of these rays, and add w e² to the objective
+                    // compute the error e of these rays, and add w e² to the sum of errors
                     errors(plan, &rays, emitted, e);
                     weigh(e, weighted);
                     error += e.iter().zip(&*weighted).map(|(&e, &we)| f64::from(e) * f64::from(we)).sum::<f64>();
@@ -106,7 +106,8 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         }
                     }
                     // In layers that rotate polarization, the Gram matrix does not bound the
-                    // curvature. Add the rest of the curvature to the diagonal.
+                    // curvature. With `local`, add a bound of the rest of the curvature to the
+                    // diagonal, otherwise a bound of the whole curvature.
                     if !bounded {
                         if local {
                             // with u = f/M, the part of the curvature that contains e is at most

@@ -1,13 +1,13 @@
 //! Unlit values: other layers block almost all their light, so the objective does not determine
 //! them.
 //!
-//! The factor a_m of a value f_m is the light that the other layers transmit in frame m. If another
-//! layer is black in frame m on all rays through a pixel, then a_m = 0. Every value of f_m then
-//! gives the same emission. At the end of a run, [`crate::Run::darken_unlit`] chooses the darkest
-//! value.
+//! The derivative a_m of L̃ by f_m/M is the light that the other layers transmit in frame m. If
+//! another layer is black in frame m on all rays through a pixel, then a_m = 0. Every value of f_m
+//! then gives the same emission. At the end of a run, [`crate::Run::darken_unlit`] chooses the
+//! darkest value.
 //!
-//! If two layers are black on the same rays, no update can change either layer there, since each
-//! layer makes a_m of the other layer 0. A warm start therefore [lifts](lifted) black slightly.
+//! If two layers are black on the same rays, each layer makes a_m of the other layer 0. So no
+//! update can change either layer there. A warm start therefore [lifts](lifted) black slightly.
 //! From the lifted value an exact step reaches any value.
 
 use lumistack_display::LayerStack;

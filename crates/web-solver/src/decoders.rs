@@ -98,7 +98,7 @@ mod page {
                 .into(),
             found: message(&error),
         };
-        // without an answer the module of decoders has stopped on damaged content
+        // if there is no answer, the module of decoders stopped on damaged content
         let found = answer(&packed.to_bytes(), packed.is_common()).map_err(unreachable)?;
         found.as_deref().and_then(answered).unwrap_or_else(|| Err(packed.stopped()))
     }

@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 use crate::decoders;
 use crate::error::Error;
 
-/// Encodes all masks of a stack, in the order of the files of [`preview`]. Each mask is
-/// `[row][col][rgb]` with value = code / 255.
+/// Encodes all masks of a stack, and the emission of a directional backlight, in the order of the
+/// files of [`preview`]. Each picture is `[row][col][rgb]` with value = code / 255.
 pub fn codes(display: &Display, stack: &LayerStack) -> Vec<u8> {
     let code = |value: &f32| (255.0 * value).round() as u8;
     let mut codes = Vec::new();

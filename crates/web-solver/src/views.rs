@@ -363,9 +363,10 @@ mod tests {
 
     use super::*;
 
-    /// Interpolation keeps values that are linear functions of the place on the display, also if
-    /// the coarse rectangle is a little higher than the fine rectangle. Fine pixels outside of the
-    /// centres of the outermost coarse pixels have the values of these coarse pixels.
+    /// Interpolation keeps values that are linear functions of the place on the display. This also
+    /// holds if the coarse rectangle is a little higher than the fine rectangle. Fine pixels
+    /// outside of the centres of the outermost coarse pixels have the values of these coarse
+    /// pixels.
     #[test]
     fn finer_pixels_show_the_same_places() {
         let grid = ViewGrid::uniform(Projection::Oblique, [2, 1], [20.0, 0.0]).unwrap();

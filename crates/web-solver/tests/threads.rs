@@ -43,7 +43,7 @@ fn views_of_other_works_give_the_same_patterns() {
     let all = finish(&mut alone, |_| ());
     let mut helper = placed();
     // The helper answers after `delay` further pieces. With a long delay the `Work` traces some of
-    // these views itself, and later takes them a second time.
+    // the given views itself, and later takes them a second time.
     for delay in [0, 1, 2, 9, 40] {
         let mut work = placed();
         let (mut given, mut asked) = (Vec::new(), std::collections::VecDeque::new());

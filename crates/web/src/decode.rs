@@ -43,7 +43,10 @@ pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
     // Five values follow the size: bits per channel (8), kind of colours (2 for red, green, blue),
     // compression (0), set of filters (0), and interlacing (0 for none).
     if header[8..] != [8, 2, 0, 0, 0] {
-        return Err(error("red, green and blue of 8 bits, not interlaced", format!("PNG of kind {:?}", &header[8..])));
+        return Err(error(
+            "red, green and blue of 8 bits, not interlaced",
+            format!("a PNG with the header values {:?}", &header[8..]),
+        ));
     }
     // Unpack the stream and undo the filter of each row.
     let line = PIXEL * cols;

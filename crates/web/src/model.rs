@@ -91,7 +91,7 @@ impl Model {
             Part::Target { .. } => return Ok((part, None)),
         };
         self.built.take();
-        // the frame was complete before this call, so the new file replaces an earlier file
+        // if the frame was already complete, the new file replaces an earlier file
         if let Some(slot) = self.complete.iter().position(|complete| *complete == frame) {
             return Ok((part, Some(slot)));
         }
@@ -147,8 +147,7 @@ impl Model {
     /// Changes the options; omitted keys return to their defaults.
     ///
     /// # Errors
-    /// If the text is malformed, a key is unknown or a value is out of range; the options stay
-    /// unchanged.
+    /// The errors of [`Options::from_json`]; the options stay unchanged.
     pub fn set_options(&mut self, text: &str) -> Result<(), Error> {
         let options = Options::from_json(text, self.preview.frames)?;
         if options != self.options {

@@ -53,7 +53,8 @@ impl Options {
     /// Reads and checks options for a display of `frames` frames.
     ///
     /// # Errors
-    /// If the text is malformed, a key is unknown or a value is out of range.
+    /// If the text is malformed or a value is out of range. Outside of a browser also if a key is
+    /// unknown.
     pub fn from_json(text: &str, frames: usize) -> Result<Self, Error> {
         let options: Self = json::parse(text).map_err(|error| err(format!("options: {error}")))?;
         let expect = |ok: bool, key: &str, expected: &str, found: String| {

@@ -166,7 +166,7 @@ impl Preview {
     /// If the text is malformed, has another schema or version or values out of range, or if files
     /// do not fit the display.
     pub fn from_json(text: &str) -> Result<Self, Error> {
-        let malformed = |error: String| err(format!("preview.json: expected a preview, found {error}"));
+        let malformed = |error: String| err(format!("preview.json: expected a preview, but reading failed: {error}"));
         // Another version may have other keys, so check the version before the other keys.
         let Head { schema, version } = json::parse(text).map_err(malformed)?;
         if schema != Self::SCHEMA {

@@ -110,8 +110,8 @@ impl Viewer {
         Ok(clamped(&self.model.render_error([sx, sy])?))
     }
 
-    /// Returns the PSNR against the target's view nearest to a slope, dB; undefined until this view
-    /// has arrived.
+    /// Returns the PSNR against the target's view nearest to a slope, dB. It is undefined in the
+    /// cases of [`Model::psnr`], for example until this view has arrived.
     pub fn psnr(&self, sx: f64, sy: f64) -> Option<f64> {
         self.model.psnr([sx, sy])
     }

@@ -66,8 +66,8 @@ impl Tables {
             let whole = |count: usize| (0..count as u32).map(|pixel| Part { pixel, share: 1.0 }).collect();
             AreaMap { map: RayMap::new(display, &geometry), x: whole(geometry.cols), y: whole(geometry.rows) }
         };
-        // Write a texel for every layer and one for the backlight. A texel states the values that
-        // a ray reads.
+        // Write a texel for every layer and one for the backlight. A texel states the pixels or the
+        // lenslet that a ray reads.
         let rows_per_part = map.map.layers.len() + usize::from(map.map.backlight.is_some());
         let axes = [(&map.x, geometry.cols), (&map.y, geometry.rows)].map(|(list, width)| Cut::new(list, width));
         let (mut x, mut y) = (Vec::new(), Vec::new());

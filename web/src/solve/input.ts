@@ -49,10 +49,10 @@ export function dropped(files: ReadonlyMap<string, File>): Input | undefined {
 }
 
 /**
-* Finds a light field among dropped files. A light field is a single file, a folder with an index
-* file, or a folder of pictures. The solver determines its kind. Returns undefined if no file has
-* the extension of a light field.
-*/
+ * Finds a light field among dropped files. A light field is a single file, a folder with an index
+ * file, or a folder of pictures. The solver determines its kind. Returns undefined if no file has
+ * the extension of a light field.
+ */
 export function droppedField(files: ReadonlyMap<string, File>): Input | undefined {
   const paths = [...files.keys()].filter((path) => FIELD.test(path)).sort((a, b) => depth(a) - depth(b) || a.localeCompare(b));
   if (paths.length === 0) return undefined;

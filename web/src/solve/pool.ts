@@ -21,15 +21,15 @@ export type PoolMessage = { kind: "copied"; image: ArrayBuffer } | ({ kind: "tra
 /** Largest number of threads that render, unless the page's address sets it. */
 const MOST_THREADS = 5;
 /**
-* Largest number of views that a thread has and has not yet traced. While the solver works on a
-* piece and reads no messages, the thread traces its second view.
-*/
+ * Largest number of views that a thread has and has not yet traced. While the solver works on a
+ * piece and reads no messages, the thread traces its second view.
+ */
 const VIEWS = 2;
 
 /**
-* Returns the largest memory of all copies, bytes: a quarter of the device's memory, or 512 MiB if
-* the browser does not report it.
-*/
+ * Returns the largest memory of all copies, bytes: a quarter of the device's memory, or 512 MiB if
+ * the browser does not report it.
+ */
 function mostBytes(): number {
   return ((navigator as { deviceMemory?: number }).deviceMemory ?? 2) * 2 ** 28;
 }
@@ -39,10 +39,10 @@ export class Pool {
   private readonly threads = new Map<Worker, number[]>();
 
   /**
-  * Starts threads one after another, until `wanted` threads render, the solver's thread included.
-  * Fewer threads are started if memory is short. `waiting` contains the views that the solver gave
-  * and that no thread has.
-  */
+   * Starts threads one after another, until `wanted` threads render, the solver's thread included.
+   * Fewer threads are started if memory is short. `waiting` contains the views that the solver gave
+   * and that no thread has.
+   */
   constructor(
     wanted: number | undefined,
     memory: WebAssembly.Memory,

@@ -62,9 +62,9 @@ const common = loaded(pictures, "lumistack_web_pictures_bg.wasm");
 const ready = loaded(decoders, "lumistack_web_decoders_bg.wasm");
 
 /**
-* Returns true if an error means that a module stopped. Every module stops if its memory is
-* exhausted. The modules of decoders also stop on some damaged content.
-*/
+ * Returns true if an error means that a module stopped. Every module stops if its memory is
+ * exhausted. The modules of decoders also stop on some damaged content.
+ */
 function stopped(error: unknown): boolean {
   return error instanceof WebAssembly.RuntimeError || error instanceof RangeError;
 }
@@ -94,7 +94,7 @@ Object.assign(globalThis, {
   },
 });
 
-/** Shortest duration of a turn of work, and shortest time between two reports of progress, ms. */
+/** Duration of a turn after which it begins no further piece, and shortest time between two reports of progress, ms. */
 const TURN_MS = 25;
 const REPORT_MS = 100;
 /** Size of a page of a module's memory, bytes. */
@@ -127,9 +127,9 @@ const turns = new MessageChannel();
 turns.port1.onmessage = () => enqueue(turn);
 
 /**
-* The promise of the newest turn or message. Each turn or message waits for the previous one, since
-* a solver accepts no call while it waits for a graphics processor.
-*/
+ * The promise of the newest turn or message. Each turn or message waits for the previous one, since
+ * a solver accepts no call while it waits for a graphics processor.
+ */
 let last = Promise.resolve();
 let waiting = 0;
 

@@ -81,7 +81,7 @@ fn arguments() -> Result<Arguments, String> {
             "--json" => parsed.json = Some(value()?.into()),
             "--folder" => parsed.folder = value()?.into(),
             "--peer" => parsed.peers.push([value()?.into(), value()?.into()]),
-            _ => return Err(format!("expected an argument that the top of the source lists, found {word}")),
+            _ => return Err(format!("expected --quick, --rounds, --json, --folder or --peer, found {word}")),
         }
     }
     if parsed.rounds < 3 { Err(format!("--rounds: expected at least 3, found {}", parsed.rounds)) } else { Ok(parsed) }

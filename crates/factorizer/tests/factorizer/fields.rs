@@ -174,7 +174,7 @@ fn the_default_solver_is_at_least_the_best_published_row_in_the_long_run() {
     check_default("directional, β = 1", &directional(8, 1.0), &[(50, 29.7), (200, 29.8)]);
 }
 
-/// Returns the PSNR after 50 updates of N layers and M frames on the teapot; `None` without the
+/// Returns the PSNR after 50 iterations for N layers and M frames on the teapot; `None` without the
 /// light field.
 fn teapot(layers: usize, frames: usize, missing: Missing) -> Option<f64> {
     let display = Display { missing, ..display(3, layers, frames, 0.2) };

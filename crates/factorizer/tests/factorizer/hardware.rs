@@ -9,8 +9,8 @@ use lumistack_factorizer::device::Updater;
 use lumistack_factorizer::internals::Engine;
 use lumistack_factorizer::{Factorization, Problem, Settings, factorize};
 
-/// Number of iterations of a solve; the last test makes half of them. PSNR differences then vary by
-/// about 0.2 dB.
+/// Number of iterations of a solve; the last test makes half of them. With so few iterations, PSNR
+/// differences vary by about 0.2 dB.
 const ITERATIONS: u32 = 30;
 
 /// Pixels of the display, columns × rows. Every effect acts within a few pixels, so the middle of
