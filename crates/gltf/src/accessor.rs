@@ -226,7 +226,7 @@ impl<'a> Accessor<'a> {
         if self.normalized { (value / largest).max(-1.0) } else { value }
     }
 
-    /// Treats integers as normalized. glTF requires `normalized` for all attributes for which this
+    /// Treats integers as normalized. glTF requires `normalized` for all data for which this
     /// function is called, but some writers do not set it.
     pub(crate) fn assume_normalized(mut self) -> Self {
         self.normalized = true;

@@ -108,7 +108,8 @@ pub(crate) fn sample(document: &Document<'_>, options: &LoadOptions) -> Result<H
             Vec::new()
         }
         None if options.time_s.is_none() => {
-            let message = "the file is animated; its nodes keep their own values, since no time is given";
+            let message =
+                "the file is animated; its nodes keep their own values, since neither a time nor an animation is given";
             document.task.warn("/animations", message);
             Vec::new()
         }
@@ -220,8 +221,9 @@ fn times(document: &Document<'_>, channel: &Channel) -> Result<Vec<f32>, Fault> 
     }
 }
 
-/// The key at or before a time. The interval from this key to the next one is `gap_s` seconds long,
-/// and its fraction `share` (u) has passed.
+/// The last key at or before a time, or the first key if the time is before it. The interval to the
+/// next key is `gap_s` seconds long, and its fraction `share` (u) has passed. Both are 0 outside of
+/// the keys.
 struct KeyInterval {
     key: usize,
     share: f64,

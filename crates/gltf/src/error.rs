@@ -1,5 +1,5 @@
-//! Errors of reading glTF: each names the file, the place in it, the expected value and the value
-//! found.
+//! Errors of reading glTF. An error about the file's content names the file, the place in it, the
+//! expected and the found value.
 
 use std::fmt::Display;
 
@@ -22,7 +22,7 @@ pub enum GltfError {
         /// The value found.
         found: String,
     },
-    /// The file is sound, but requires an extension that is not supported.
+    /// The file requires an extension that is not supported.
     #[error("{file}: {place}: expected extensions that can be read ({supported}), found {name}{advice}")]
     UnsupportedExtension {
         /// The file as the caller named it.

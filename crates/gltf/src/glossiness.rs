@@ -1,9 +1,8 @@
 //! `KHR_materials_pbrSpecularGlossiness` as metallic-roughness.
 //!
 //! The material is a dielectric (metallic 0) of base colour `diffuse` whose reflection at normal
-//! incidence is `specular`. The index of refraction 0 turns off the Fresnel term, so that the
-//! specular colour alone sets the reflection. Sources: KHR_materials_specular, "Conversions", and
-//! KHR_materials_ior.
+//! incidence is `specular`. Its index of refraction is set to 0, so that this reflection does not
+//! depend on an index. Sources: KHR_materials_specular, "Conversions", and KHR_materials_ior.
 //!
 //! Roughness is 1 − glossiness. A texture may hold glossiness in its alpha. Then a roughness
 //! texture is made, whose green channel is 1 − glossinessFactor · alpha, since no factor on a

@@ -210,8 +210,8 @@ fn parent_from_node(
         }
     };
     let placement = match pose {
-        // glTF forbids to animate a node with a matrix, but the meaning is clear: the matrix gives
-        // the values that are not animated
+        // glTF forbids animations of a node with a matrix; here the matrix sets the values that
+        // are not animated
         Some(_) if node.matrix.is_some() => posed(pose, at_rest.to_scale_rotation_translation()),
         _ => at_rest,
     };

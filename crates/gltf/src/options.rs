@@ -12,8 +12,8 @@ pub(crate) const MAX_VIEW_BYTES: u64 = 2 << 30;
 /// weights, and the default materials are used.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadOptions {
-    /// Time at which animations are sampled, in seconds. Before its first key and after its last
-    /// key, an animation keeps the value of this key. `None`: time 0 with an
+    /// Time at which animations are sampled, in seconds. Before its first key, an animation has the
+    /// value of the first key; after its last key, that of the last key. `None`: time 0 with an
     /// [`animation`](Self::animation), otherwise the nodes' own values.
     pub time_s: Option<f64>,
     /// Name or number of the animation. `None` with a [`time_s`](Self::time_s): all animations

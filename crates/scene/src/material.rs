@@ -3,7 +3,7 @@
 use glam::{Affine2, Vec3, Vec4};
 
 /// Metallic-roughness material (glTF 2.0, section 3.9), with the extensions that the fields name.
-/// Every texture multiplies the factor with which it is listed.
+/// The texture of a factor multiplies this factor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
     /// Name in the file, for messages.
@@ -36,9 +36,9 @@ pub struct Material {
     /// Marks a surface that represents a light source of the file, visible or invisible to the
     /// viewer.
     pub lamp: Lamp,
-    /// Index of refraction (`KHR_materials_ior`), ≥ 1 or 0. If it is 0, dielectric reflection does
-    /// not depend on the angle, and [`specular_color`](Self::specular_color) alone sets its colour
-    /// (the specular-glossiness workflow).
+    /// Index of refraction (`KHR_materials_ior`), ≥ 1 or 0. With 0, a dielectric reflects the
+    /// fraction `specular` · `specular_color` at normal incidence (the specular-glossiness
+    /// workflow).
     pub ior: f32,
     /// Factor on the dielectric reflection (`KHR_materials_specular`), 0..1.
     pub specular: f32,

@@ -25,7 +25,7 @@ pub struct SceneParts {
     pub images: Vec<Image>,
     /// Punctual lights. Area lights are emissive meshes.
     pub lights: Vec<Light>,
-    /// Cameras, the file's preferred camera first.
+    /// Cameras, with the file's preferred camera first, if it names one.
     pub cameras: Vec<Camera>,
     /// Light from infinity; without it the scene is surrounded by black.
     pub environment: Option<Environment>,

@@ -135,8 +135,8 @@ impl Cloud {
         }
     }
 
-    /// Checks lengths, normalizes rotations, drops splats that are not Gaussians, and sorts a large
-    /// cloud by position. Files of some trainers contain such splats.
+    /// Checks lengths, normalizes rotations, and sorts a large cloud by position. Drops splats that
+    /// are not Gaussians, which files of some trainers contain.
     pub(crate) fn check(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         if self.degree > MAX_DEGREE {
             let expected = format!("a degree of harmonics up to {MAX_DEGREE}");
@@ -218,9 +218,9 @@ impl Cloud {
         turned(&mut self.harmonics, values, &order);
     }
 
-    /// Returns the bounds of the placed cloud without its floaters. The bounds hold the bulk of the
-    /// cloud's splats on every axis, and the splats near the bulk. To find the bulk, splats are
-    /// weighted by opacity × area.
+    /// Returns the bounds of the placed cloud without its floaters and its faint splats. On every
+    /// axis, the bounds hold the bulk of the cloud's splats, and the splats near the bulk. To find
+    /// the bulk, splats are weighted by opacity × area.
     pub(crate) fn seen_bounds(&self, scene_from_cloud: Affine3A) -> Bounds {
         let points: Vec<Vec3> = self.positions.iter().map(|p| scene_from_cloud.transform_point3(*p)).collect();
         // Compute the area that each splat covers. The largest tenth of the splats are sky and

@@ -30,8 +30,8 @@ impl Deref for Scene {
 }
 
 impl Scene {
-    /// Returns the bounds of all placed triangles, and of all splats except floaters, which are far
-    /// from most splats; never empty.
+    /// Returns the bounds of all placed triangles, and of all splats except faint splats and
+    /// floaters, which are far from most splats; never empty.
     pub fn bounds(&self) -> Bounds {
         self.bounds
     }
@@ -103,8 +103,8 @@ impl SceneParts {
     /// zero, with warnings.
     ///
     /// # Errors
-    /// If an index is out of range, a list has the wrong length, or a number is not finite (except
-    /// in splats). Also if too many splats are placed, or if nothing remains to render.
+    /// If an index is out of range, if a list has the wrong length, or if a number is not finite
+    /// and cannot be repaired. Also if too many splats are placed, or if nothing remains to render.
     pub fn validate(mut self, task: Task<'_>) -> Result<Scene, SceneError> {
         self.check_images()?;
         self.check_materials(task)?;

@@ -1,9 +1,9 @@
 //! Reads files of splats into [`Cloud`](lumistack_scene::Cloud)s, from bytes. Counts are compared
-//! with the file's size before memory is allocated.
+//! with the data that exists before memory is allocated for splats.
 //!
 //! | file | written by | axes |
 //! |---|---|---|
-//! | `.ply` | the reference trainers, and PlayCanvas' compressed form | right, down, front |
+//! | `.ply` | the reference trainers; PlayCanvas, in a compressed form | right, down, front |
 //! | `.spz` | Niantic, versions 1 to 4 | right, up, back |
 //! | SOG | PlayCanvas: `meta.json` with WebP pictures beside it, or all in one zip (`.sog`) | those of the `.ply` that it was made from |
 

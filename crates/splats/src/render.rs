@@ -6,16 +6,16 @@
 //! α_i = o_i √(|Σ'| / |Σ' + P|) exp(−½ dᵀ (Σ' + P)⁻¹ d)
 //!
 //! i, j    splats by increasing distance of their centres from the viewer
-//! c, o    colour, in the colour space that is blended in, and opacity
+//! c, o    colour, in the colour space of the blending, and opacity
 //! Σ'      covariance of the splat, projected onto z = 0
 //! P       variance of a pixel's box
 //! d       from the splat's projected centre to the pixel's
 //! ```
 //!
 //! A naive renderer projects, shades and sorts all splats for every view. This renderer transforms
-//! and sorts them by depth once per window. Blocks of views share lists of splats per tile. Each
-//! view sorts the splats of a list again, in chunks, by their distances in this view. A splat is
-//! projected and shaded only if nearer splats do not hide it.
+//! the splats, and sorts them by depth, once per window. Blocks of views share lists of splats per
+//! tile. Each view sorts the splats of a list again, in chunks, by their distances in this view. If
+//! nearer chunks hide the whole tile in all views, later chunks are not projected and shaded.
 //!
 //! The filter, which widens a splat by P and lowers its peak, is the 2D filter of mip-splatting (Yu
 //! et al., CVPR 2024).

@@ -320,7 +320,7 @@ fn broken_files_are_refused_with_their_place() {
     assert!(read(&with("end_header\n", "end_header\n"), NONE).is_ok());
 }
 
-/// A change of any single byte causes no panic.
+/// Changes of single bytes, and cuts, cause no panic.
 #[test]
 fn no_change_of_a_byte_makes_a_reader_panic() {
     let original = cloud(20, 1);

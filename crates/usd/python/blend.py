@@ -59,7 +59,7 @@ class Unfit(Exception):
 
 
 class Refused(Exception):
-    """The error that the file or the request is invalid."""
+    """The error that Blender cannot open the file, or cannot render its views."""
 
 
 def work(bpy, request, folder, answer):
@@ -71,7 +71,8 @@ def work(bpy, request, folder, answer):
         raise Refused(str(error).replace("Error: ", "", 1).strip().splitlines()[0]) from error
     scene = bpy.context.scene
     rate = scene.render.fps / scene.render.fps_base
-    # List the choices that the file offers, and the content that an export loses.
+    # List the scenes, frames and other files of the .blend file, and the content that an export
+    # loses.
     answer["contents"] = {
         "scenes": [each.name for each in bpy.data.scenes],
         "frames": [scene.frame_start, scene.frame_end],

@@ -1,4 +1,4 @@
-# The script that a child runs by `python -c`. Even an old Python must be able to parse it, since
+# The script that a child process runs by `python -c`. Even an old Python must be able to parse it, since
 # the script also reports that a Python is too old.
 import sys
 

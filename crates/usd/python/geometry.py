@@ -40,7 +40,7 @@ def mesh(prim, writer, time, pose=None):
         "subsets": [],
     }
     scheme = source.GetSubdivisionSchemeAttr().Get(time)
-    # Subdivision rules; the reader refines the mesh.
+    # Write the subdivision rules, by which `src/refine.rs` refines the mesh.
     if scheme != "none":
         entry["subdivision"] = {
             "scheme": str(scheme),

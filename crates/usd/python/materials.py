@@ -1,9 +1,10 @@
 """Materials: their surface shaders, with inputs reduced to constants, textures and primvars.
 
-An input is `{"value": [..]}`, `{"primvar": name}`, or `{"texture": t}`. Component k of a texture is
+An input is `{"value": [..]}`, `{"text": text}`, `{"primvar": name}` or `{"texture": t}`. Component k of a texture is
 scale[k] · texel[channels[k]] + bias[k]. Its coordinates are the primvar `primvar` after
-`transform`: u' = t0 u + t2 v + t4, v' = t1 u + t3 v + t5, where v points up. Other operations of
-the graph cause a warning, and inputs that depend on them keep their defaults.
+`transform`: u' = t0 u + t2 v + t4, v' = t1 u + t3 v + t5, where v points up. Operations
+whose results have none of these forms cause a warning. Inputs that depend on such an operation keep
+their defaults.
 """
 
 import math
@@ -404,7 +405,8 @@ class Graph:
         return found
 
     def do_transformnormal(self, shader, count, output):
-        """Returns the input unchanged: a normal map is relative to the surface in all spaces."""
+        """Returns the input unchanged: the renderer reads every normal map in tangent space, so a
+        change of its space has no effect."""
         return self.get(shader, "in")
 
     do_transformvector = do_transformnormal

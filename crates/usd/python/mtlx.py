@@ -1,7 +1,7 @@
 """Definitions of MaterialX's surface shaders, for an OpenUSD whose MaterialX library lacks them.
 
-OpenUSD drops each shader of a .mtlx file whose definition it does not have. The wheel usd-exchange
-contains only the definition of OpenPBR. This module adds the inputs (names, types, defaults) of the
+From a .mtlx file OpenUSD drops each shader that its MaterialX library does not define. The library
+of the wheel usd-exchange defines only OpenPBR. This module adds the inputs (names, types, defaults) of the
 other surface shaders. It also adds the nodes of UsdPreviewSurface that `materials` reads. """
 
 import contextlib
@@ -14,7 +14,7 @@ from pxr import Plug, Sdf
 SEARCHED = "PXR_MTLX_PLUGIN_SEARCH_PATHS"
 # Every line is a type, a colon, and the inputs of this type as `name=default`; an input without a
 # default ends with `=`. A single number is the default of all components of a colour or vector. A
-# line after `->` lists outputs.
+# line that begins with `->` lists outputs.
 SHADERS = {
     ("ND_standard_surface_surfaceshader", "standard_surface"): """
         float: base=1 diffuse_roughness=0 metalness=0 specular=1 specular_roughness=0.2 specular_IOR=1.5 specular_anisotropy=0 specular_rotation=0

@@ -25,8 +25,8 @@ def known_bases(prim):
 
 
 def is_shown(prim, writer):
-    """Returns true if a particle field consists of splats, which are rendered. A field with another
-    kernel causes a warning."""
+    """Returns true if a particle field is rendered: if it consists of splats, and its purpose is
+    neither `proxy` nor `guide`. A field without a Gaussian kernel causes a warning."""
     purpose = prim.GetAttribute("purpose")
     if purpose and purpose.Get() in ("proxy", "guide"):
         # An older OpenUSD does not compute the purpose of unknown types, so read the prim's own
@@ -35,7 +35,7 @@ def is_shown(prim, writer):
     kernels = [kernel for kernel in schemas(prim) if "Kernel" in kernel and not kernel.endswith("BaseAPI")]
     if str(prim.GetTypeName()) == SPLAT or ELLIPSOID in kernels or SURFLET in kernels:
         return True
-    found = ", ".join(kernels) or "none"
+    found = ", ".join(kernels) or "no kernel"
     writer.warn(prim.GetPath(), "expected a particle field with a Gaussian kernel, found %s; the field is left out" % found)
     return False
 

@@ -115,7 +115,8 @@ def time_code(stage, time_s):
 
 
 def variant_sets(stage):
-    """Yields every variant set outside of prototypes, as (prim, name, choices, selection)."""
+    """Yields the variant sets of the stage's defined prims, also inside instances, as (prim, name,
+    choices, selection)."""
     for prim in Usd.PrimRange.Stage(stage, ANYWHERE):
         if prim.HasVariantSets():
             sets = prim.GetVariantSets()
@@ -161,7 +162,8 @@ def choose_variants(stage, wanted, writer):
 
 
 def contents(stage):
-    """Returns the choices that the file offers, and its numbers of prims, meshes and points."""
+    """Returns the file's variant sets, cameras and time range, and its numbers of prims, meshes and
+    points of meshes."""
     sets = [
         {"place": "%s{%s}" % (prim.GetPath(), name), "choices": list(choices), "selected": selection}
         for prim, name, choices, selection in variant_sets(stage)
@@ -310,7 +312,8 @@ class Walker:
 
     def geometry(self, prim):
         """Returns the index of a shape in the package, and the shape's subsets of faces that have
-        their own materials. A shape in a prototype is read once."""
+        their own materials. A shape in a prototype is read once for equal inherited colours and
+        poses."""
         key = (source(prim).GetPath(), self.inherited_primvars(prim), self.skeletons.key(prim))
         if key not in self.geometries:
             if prim.IsA(UsdGeom.Mesh):
@@ -332,7 +335,7 @@ class Walker:
         return index, [prim.GetChild(name) for name in names]
 
     def inherited_primvars(self, prim):
-        """Returns the primvars that a prim inherits, as part of the key of its shape."""
+        """Returns the display colour and opacity that a prim inherits, for the key of its shape."""
         found = UsdGeom.PrimvarsAPI(prim.GetParent()).FindInheritablePrimvars()
         return tuple(
             (primvar.GetName(), str(primvar.Get(self.time))) for primvar in found if primvar.GetName() in INHERITED_PRIMVARS
@@ -384,8 +387,8 @@ class Walker:
         return self.frames[key]
 
     def is_unlike_others(self, prim):
-        """Returns true if instances of one prototype may have different content: if a
-        collection of an ancestor binds materials, or if a skeleton is outside of the prototype."""
+        """Returns true if an instance may differ from other instances of its prototype: if the
+        prim or an ancestor is a `UsdSkelRoot`, or binds materials by a collection."""
         while prim and not prim.IsPseudoRoot():
             if prim.IsA(UsdSkel.Root) or any("material:binding:collection" in name for name in prim.GetPropertyNames()):
                 return True
@@ -393,8 +396,8 @@ class Walker:
         return False
 
     def point_instancer(self, prim, matrix):
-        """Returns the prototypes of a point instancer, each with a link that has the matrices of
-        its copies."""
+        """Returns the content of a point instancer's prototypes. Each object has a link with the
+        matrices of all copies, and with the number of the object's prototype."""
         instancer = UsdGeom.PointInstancer(prim)
         place = prim.GetPath()
         if place in self.open_frames:
@@ -424,7 +427,7 @@ class Walker:
         for number, target in enumerate(instancer.GetPrototypesRel().GetForwardedTargets()):
             root = self.stage.GetPrimAtPath(target)
             if not root:
-                self.writer.warn(place, "the instancer has no prototype at %s" % target)
+                self.writer.warn(place, "the instancer's prototype %s does not exist" % target)
                 continue
             link = dict(shared, prototype=number)
             for kind, payload, links in self.frame(root, IN_PROTOTYPE):

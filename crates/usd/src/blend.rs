@@ -37,7 +37,7 @@ const MODULES: [(&str, &str); 5] = [
 /// The script that starts [`MODULES`] in Blender.
 const BOOT: &str = include_str!("../python/blend.py");
 
-/// The choices that a `.blend` file offers.
+/// The scenes and the animation of a `.blend` file, and the content that an export drops.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct BlendContents {
@@ -90,7 +90,7 @@ pub struct BlendAccount {
     pub untracked: Option<String>,
     /// Content that could not be exported: place and message.
     pub warnings: Vec<(String, String)>,
-    /// The choices that the file offers.
+    /// The file's scenes and animation, and the content that the export drops.
     pub contents: BlendContents,
 }
 
@@ -107,9 +107,9 @@ pub fn hand_over(path: &Path, time_s: Option<f64>, task: Task<'_>) -> Result<Han
     Ok(HandedOver { glb, account })
 }
 
-/// Returns a text that identifies the Blender that would run, and the code that it would run. If
-/// this text, [`BlendAccount::program`] and the file are unchanged, an export gives the same
-/// result.
+/// Returns a text that identifies the programs that may export a file, and the code that they run.
+/// An export gives the same result if this text, [`BlendAccount::program`], the `.blend` file and
+/// [`BlendAccount::files`] are unchanged.
 pub fn blend_surroundings() -> String {
     let found: Vec<String> = candidates()
         .iter()
@@ -129,7 +129,7 @@ pub fn file_stamp(path: &Path) -> Option<[u64; 2]> {
     Some([known.len(), changed.as_nanos() as u64])
 }
 
-/// Lists the choices that a file offers.
+/// Lists a file's scenes and animation, and the content that an export would drop.
 ///
 /// # Errors
 /// The errors of [`hand_over`].
@@ -190,7 +190,7 @@ pub fn render_views(
                 break;
             }
             finished(next, &picture);
-            // A failed removal is ignored. If the disk is full, writing the next picture fails.
+            // A failed removal is ignored. If the pictures fill the disk, writing a picture fails.
             let _ = std::fs::remove_file(&picture);
             next += 1;
         }
@@ -236,7 +236,7 @@ struct Failure {
     message: String,
 }
 
-/// The failure of one Blender, or of one Python with bpy.
+/// The failure of one program: a Blender, or a Python that may have bpy.
 enum Failed {
     /// This program cannot read the file. The next program is tried, if one remains.
     Unfit(String),

@@ -56,7 +56,7 @@ pub(crate) struct Answer {
 }
 
 impl Answer {
-    /// Parses the file that the walker, the Python code that reads a stage, wrote.
+    /// Parses the file that the walker wrote.
     ///
     /// # Errors
     /// If the file is not a scene package.
@@ -203,7 +203,8 @@ fn map(file: &File) -> std::io::Result<Option<Mmap>> {
     if file.metadata()?.len() == 0 {
         return Ok(None);
     }
-    // SAFETY: the file has no name, and the only other process that had it open has ended
+    // SAFETY: nothing changes the file, since it has no name, and the only other process that had
+    // it open has ended
     unsafe { Mmap::map(file) }.map(Some)
 }
 

@@ -4,9 +4,10 @@
 //! Catmull–Rom curve gets an extra point 2 p₀ − p₁ before the first point p₀, so that the curve
 //! starts at p₀. In the same way, the curve gets an extra point after the last point.
 //!
-//! The frame of a sample follows from the previous sample without twist (double reflection, Wang et
-//! al. 2008). The twist that remains in a closed curve is spread over its length. Widths are
-//! diameters in the units of the curve's space.
+//! Double reflection (Wang et al. 2008) carries a vector that is perpendicular to the curve from
+//! each sample to the next without twist. In a closed curve, the angle between the last and the
+//! first vector is spread over the curve's length. Widths are diameters in the units of the curve's
+//! space.
 
 use std::f32::consts::TAU;
 
@@ -84,11 +85,12 @@ const MOST_TRIANGLES: usize = 2_000_000;
 /// Samples per segment, and sides per tube, from the finest choice to the coarsest.
 const DETAIL: [(usize, usize); 4] = [(8, 12), (6, 8), (4, 5), (2, 3)];
 
-/// A curve that is shorter than this fraction of its largest coordinate is treated as a single
-/// point, since its samples differ only by rounding.
+/// A curve that is shorter than this fraction of its largest coordinate is left out, since its
+/// samples differ only by rounding.
 const ROUNDING: f32 = 1e-5;
 
-/// A sample of a curve: its value is a weighted sum of values at control points.
+/// A sample of a curve. An attribute of the sample is a weighted sum of values at control points,
+/// or of values at ends of segments.
 #[derive(Clone, Debug, Default)]
 struct Sample {
     /// Pairs of the index of a control point within the curve, and the weight of its value.
@@ -98,7 +100,7 @@ struct Sample {
 }
 
 /// Converts curves to triangles. In `face_of_triangle`, each triangle has the index of its curve.
-/// Curves with too few points are left out.
+/// Curves with too few points, or without length, are left out.
 pub(crate) fn tessellate(curves: &Curves<'_>) -> Geometry {
     let segments: usize =
         curves.vertex_counts.iter().map(|&count| segment_count(curves, usize::try_from(count).unwrap_or(0))).sum();
@@ -170,7 +172,7 @@ fn weights(basis: Basis, t: f32) -> [f32; 4] {
 fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> Vec<Sample> {
     let periodic = curves.wrap == Wrap::Periodic;
     let stride = if curves.basis == Basis::Bezier { 3 } else { 1 };
-    // number of points from the start of a segment to the first of its four points
+    // in a pinned curve, the first point of the first segment is the extra point, with index −1
     let shift = match (curves.basis, curves.wrap) {
         (Basis::BSpline | Basis::CatmullRom, Wrap::Pinned) => -1,
         _ => 0,
@@ -302,8 +304,8 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     if !(total > ROUNDING * largest && total.is_finite()) {
         return None;
     }
-    // a point that coincides with its neighbours has no tangent, and takes the tangent of the rib
-    // before it
+    // `None` if both neighbours are at the point's position, or if the curve turns back there. The
+    // rib then takes the tangent of the previous rib. Ribs at the start take the first tangent.
     let tangent = |i: usize| -> Option<Vec3> {
         let before = if i == 0 && closed {
             positions[last] - positions[last - 1]
@@ -314,7 +316,7 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
             if i == last && closed { positions[1] - positions[0] } else { positions[(i + 1).min(last)] - positions[i] };
         (before.normalize_or_zero() + after.normalize_or_zero()).try_normalize()
     };
-    // Derive the frame of each rib from the previous rib.
+    // Make each rib, with the vector `across` carried from the previous rib.
     let mut ribs: Vec<Rib> = Vec::with_capacity(positions.len());
     let first_tangent = (0..=last).find_map(tangent)?;
     for i in 0..=last {
@@ -329,7 +331,7 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
         let slope = slope.clamp(-100.0, 100.0);
         ribs.push(Rib { position: positions[i], tangent, across, radius: radii[i], slope, along: lengths[i] / total });
     }
-    // Spread the twist of a closed curve over its length.
+    // In a closed curve, spread the angle between the last and the first `across` over the length.
     if closed {
         let (start, end) = (ribs[0].across, ribs[last].across);
         let twist = end.cross(start).dot(ribs[last].tangent).atan2(end.dot(start));
@@ -340,8 +342,7 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     Some(ribs)
 }
 
-/// Carries the perpendicular vector of a rib along the curve to the next rib, by two reflections.
-/// Twist is thus avoided.
+/// Carries the vector `across` of a rib to the next rib by two reflections, which add no twist.
 fn carried(rib: &Rib, position: Vec3, tangent: Vec3) -> Vec3 {
     let reflect = |v: Vec3, mirror: Vec3| match mirror.length_squared() {
         0.0 => v,
@@ -416,11 +417,11 @@ fn ribbon(place: &mut Place<'_>, normals: &Data<'_>, samples: &[Sample], ribs: &
     }
 }
 
-/// Number of parts into which each edge of the octahedron is cut, for the ball at a point.
+/// Argument of [`ball`] for the balls at points.
 const BALL_PARTS: u32 = 4;
 
-/// Returns a ball of diameter 1. It is an octahedron whose edges are cut into `parts` segments, so
-/// it has 8 parts² triangles.
+/// Returns a ball of diameter 1 with 8 parts² triangles. It is an octahedron whose edges are cut
+/// into `parts` segments, and whose vertices are moved to the ball's surface.
 pub(crate) fn ball(parts: u32) -> Geometry {
     let mut geometry = Geometry::default();
     for octant in 0..8 {

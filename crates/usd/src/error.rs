@@ -1,5 +1,5 @@
-//! Errors of USD input: each names the file, the place in it, the expected value, and the value
-//! found.
+//! Errors of USD and Blender input. An error about a value names the file, the place in it, the
+//! expected and the found value.
 
 use std::fmt::Display;
 
@@ -31,7 +31,7 @@ pub enum UsdError {
     /// No Blender was found.
     #[error("{file}: .blend files are read by Blender 4.2 or newer, which was not found. Install it from blender.org, name its program in LUMISTACK_BLENDER, or `pip install bpy` into a Python that lumistack finds (tried: {})", tried.join("; "))]
     NoBlender {
-        /// The file as the caller named it.
+        /// Absolute path of the file.
         file: String,
         /// Every program that was tried, with its failure.
         tried: Vec<String>,
@@ -47,7 +47,7 @@ pub enum UsdError {
         "{file}: expected {python} to return a scene, found {found}. Test the file in a USD viewer or in Blender, or name another program in LUMISTACK_PYTHON (USD) or LUMISTACK_BLENDER (.blend)"
     )]
     Child {
-        /// The file as the caller named it.
+        /// Path of a USD file as the caller named it, or absolute path of a `.blend` file.
         file: String,
         /// The Python or Blender that was run.
         python: String,
@@ -55,10 +55,10 @@ pub enum UsdError {
         /// exception in the script.
         found: String,
     },
-    /// OpenUSD or the walker refuses the file.
+    /// OpenUSD, the walker or Blender refuses the file.
     #[error("{}", refused(file, message))]
     Refused {
-        /// The file as the caller named it.
+        /// Path of a USD file as the caller named it, or absolute path of a `.blend` file.
         file: String,
         /// The reason why the file is refused.
         message: String,

@@ -32,8 +32,8 @@ impl Geometry {
         self.face_of_triangle.push(face);
     }
 
-    /// Adds the quadrilateral `a b c d`, which is counter-clockwise. A half without area is left
-    /// out.
+    /// Adds the quadrilateral `a b c d`, which is counter-clockwise, as two triangles. A triangle
+    /// with two corners at one position is left out.
     pub(crate) fn quad(&mut self, [a, b, c, d]: [u32; 4], face: u32) {
         for corners in [[a, b, c], [a, c, d]] {
             let [p, q, r] = corners.map(|i| self.positions[i as usize]);

@@ -9,8 +9,8 @@
 //!   normalized, its irradiance is L.
 //! * A sphere that is treated as a point, or that has a cone, has the intensity L π r².
 //! * A disc or rectangle with a cone is a spot light of intensity L · area.
-//! * A dome is the environment. In USD's picture the centre is +z and the right edge is towards −x,
-//!   as in OpenEXR. In the scene's picture the centre is −z.
+//! * A dome is the environment. In USD's picture the centre shows +z, and the right half shows −x,
+//!   as in OpenEXR. In the scene's picture the centre shows −z.
 //!
 //! Source: UsdLux schemas of OpenUSD 25.
 

@@ -55,8 +55,8 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
             return None;
         }
     };
-    // Replace inputs that cannot be used: invalid ones have their default, and unreadable textures
-    // their fallback.
+    // Replace inputs that cannot be used: invalid inputs by their defaults, unreadable textures by
+    // their fallbacks.
     let model = entry.model.take()?;
     for input in entry.inputs.values_mut() {
         let broken = input.texture.as_ref().is_some_and(|source| !source.is_sound());
@@ -94,7 +94,7 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
         task.warn(&builder.place, message);
     }
     let Builder { material, mut uv_names, reads_colors, .. } = builder;
-    // normal maps and anisotropy need texture coordinates, even if no texture names a primvar for
+    // normal maps and anisotropy need texture coordinates; if no texture names a primvar, `st` has
     // them
     if material.tangent_uv_set().is_some() && uv_names[0].is_none() {
         uv_names[0] = Some("st".into());

@@ -47,7 +47,8 @@ pub struct Header {
     pub files: Vec<String>,
     /// Warnings of the walker for the user.
     pub warnings: Vec<Note>,
-    /// The choices that the file offers.
+    /// The file's variant sets, cameras and time range, and its numbers of prims, meshes and
+    /// points.
     pub contents: Contents,
     pub(crate) geometries: Vec<Shape>,
     pub(crate) instances: Vec<Placement>,
@@ -296,8 +297,8 @@ pub(crate) struct Placement {
     pub(crate) chain: Vec<Link>,
 }
 
-/// A step in the chain of transforms from a shape to the stage. Everything earlier in the chain is
-/// copied once per matrix.
+/// A step in the chain of transforms from a shape to the stage. It makes one copy per matrix of all
+/// that the earlier links place.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Link {
     /// Matrices `[n][4][4]` for row vectors, as in USD: the translation is the last row.

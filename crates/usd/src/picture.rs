@@ -68,7 +68,7 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     let format = match image::guess_format(bytes) {
         Ok(format @ (Png | Jpeg | WebP | Hdr)) => format,
         Err(_) if name.to_ascii_lowercase().ends_with(".tga") => Tga,
-        Ok(other) => return Err(format!("{other:?}; PNG, JPEG, WebP, TGA, HDR and OpenEXR are read")),
+        Ok(other) => return Err(format!("in the format {other:?}; PNG, JPEG, WebP, TGA, HDR and OpenEXR are read")),
         Err(_) => {
             let start = bytes[..bytes.len().min(12)].escape_ascii();
             return Err(format!(
@@ -90,7 +90,7 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     // a texel takes at most 16 bytes: four channels of at most four bytes
     if u64::from(width) * u64::from(height) * 16 > MOST_BYTES || width.max(height) > MOST_TEXELS_A_SIDE {
         return Err(format!(
-            "{width} × {height} texels, more than 32768 in a row or column, or more than fit into {} MiB",
+            "{width} × {height} texels; at most 32768 are read in a row or column, and at most {} MiB in all",
             MOST_BYTES >> 20
         ));
     }
@@ -114,8 +114,8 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
     let broken = |error: exr::error::Error| format!("no readable OpenEXR picture ({error})");
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(broken)?;
     let header = meta.headers.first().ok_or("an OpenEXR file without a layer")?;
-    // For deep data and DWA compression, the decoder allocates memory by sizes in the compressed
-    // data. A damaged file could therefore end the program.
+    // Refuse deep data and DWA compression. For these the decoder allocates memory by sizes in the
+    // compressed data, so a damaged file could end the program.
     if header.deep || matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
         let found = if header.deep { "deep data".to_owned() } else { header.compression.to_string() };
         return Err(format!(

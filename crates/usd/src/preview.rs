@@ -1,8 +1,9 @@
 //! UsdPreviewSurface, version 2.6.
 //!
-//! The dielectric has the scene's formula F₀ = ((1 − ior)/(1 + ior))² with F₉₀ = 1. In the specular
-//! workflow F₀ is `specularColor`. The index of refraction is then set to 0, for which the formula
-//! gives 1. So the specular colour alone determines F₀.
+//! As in the scene's materials, a dielectric reflects F₀ = ((1 − ior)/(1 + ior))² at normal
+//! incidence, and F₉₀ = 1 at grazing incidence. In the specular workflow F₀ is `specularColor`. The
+//! index of refraction is then set to 0, for which the formula gives 1. So the specular colour
+//! alone determines F₀.
 //!
 //! Opacity is the covered fraction of the surface, as in the `opacityMode` "presence". In the mode
 //! "transparent", reflections should not fade with the opacity, but here they do.

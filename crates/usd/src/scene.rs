@@ -123,8 +123,8 @@ struct Assembly<'a> {
     /// Materials by their index in the package; `None` if the shader is unknown, so that the
     /// display colour applies.
     materials: Vec<Option<Bound>>,
-    /// Indices of materials for display colours. The key is the bits of the colour, and true if the
-    /// material is transparent.
+    /// Indices of materials for display colours. The key has the bits of the colour, and true if
+    /// the material blends.
     plain: HashMap<([u32; 4], bool), usize>,
     /// Indices of one-sided copies of materials; the key is the index of the original.
     one_sided: HashMap<usize, usize>,
@@ -398,7 +398,7 @@ impl<'a> Assembly<'a> {
         Ok(meshes)
     }
 
-    /// Returns the index of a copy of a material that is visible only from the front.
+    /// Returns the index of a copy of a material, for surfaces that are visible only from the front.
     fn one_sided(&mut self, material: usize) -> usize {
         let materials = &mut self.parts.materials;
         *self.one_sided.entry(material).or_insert_with(|| {

@@ -35,8 +35,8 @@ impl Setup {
     /// among them every line that pip prints.
     ///
     /// # Errors
-    /// If no Python or no data folder is found, if a step fails, or if the setup is cancelled. A
-    /// folder that is then incomplete is removed.
+    /// If no Python or no data folder is found, if a step fails, or if the setup is cancelled. If a
+    /// step in the environment's folder fails or is cancelled, the folder is removed.
     pub fn run(&self, say: &mut dyn FnMut(&str), cancel: &Cancel) -> Result<PathBuf, UsdError> {
         let fault = |expected: &str, found: String| UsdError::Setup { expected: expected.into(), found };
         let folder = self.folder.clone().or_else(own_environment);

@@ -163,8 +163,8 @@ impl<'a> Textures<'a> {
 
     /// Returns a texture with these channels, for the coordinate set `uv_set`. `None` if no channel
     /// has a picture, or if a picture cannot be read; the slot then has no texture. All channels
-    /// use the primvar, transform and wrap rules of the first component; a warning reports if other
-    /// channels differ.
+    /// use the primvar, transform and wrap rules of the first component; other channels that differ
+    /// cause a warning.
     pub(crate) fn slot(
         &mut self,
         channels: [Channel<'_>; 4],

@@ -17,9 +17,9 @@ const UP: [f32; 3] = [0.0, 0.0, 1.0];
 
 type Ignored = &'static [(&'static str, f32)];
 
-/// Returns the diffuse colour and its weight. Subsurface scattering of the weight `weight` adds a
-/// colour: two constant colours are mixed. If a colour is a texture, the colour with the larger
-/// weight is returned.
+/// Returns the diffuse colour and its weight. The input `name` is the colour of subsurface
+/// scattering, whose weight is `weight`. Two constant colours are mixed. If either colour is a
+/// texture, the colour with the larger weight is returned.
 fn with_subsurface(
     inputs: &Inputs,
     base: Value<3>,

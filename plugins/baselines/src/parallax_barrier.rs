@@ -115,7 +115,8 @@ impl NodePlugin for ParallaxBarrier {
             }
             stage.advance(1, "");
         }
-        // The rear layer shows the means. Rear pixels without such rays stay dark.
+        // The rear layer shows the means. A rear pixel stays dark if no ray through it passes
+        // through an open mask pixel.
         for (pixel, &rays) in rays.iter().enumerate().filter(|(_, rays)| **rays > 0) {
             for channel in 3 * pixel..3 * pixel + 3 {
                 stack.layers[0].data_mut()[channel] = (sums[channel] / rays as f32).clamp(rear_dark, rear_bright);

@@ -148,8 +148,8 @@ impl OutputPlugin for WebSimulator {
             let middle = rounding.add(layers, emission, stack.brightness());
             middles.push(order::coarse(&middle, shown.cols));
         }
-        // Sort the files by frame, so that the mean of the first frames is close to the final
-        // picture.
+        // Sort the files by frame, in an order in which the mean of the first frames is close to
+        // the final picture.
         let order = order::by_importance(&middles);
         files.sort_by_key(|file: &Value| order.iter().position(|frame| file["frame"] == *frame));
         let size: u64 = files.iter().filter_map(|file| file["bytes"].as_u64()).sum();

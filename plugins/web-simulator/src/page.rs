@@ -201,8 +201,8 @@ impl About<'_> {
         if single { cut(&cut(&page, FOLDER, "")?, SINGLE, "") } else { Ok(page) }
     }
 
-    /// Returns the page's title and description. They are also the properties that services read
-    /// for the preview of a link (Open Graph).
+    /// Returns the HTML of the page's title and description. The HTML also states both as
+    /// properties (Open Graph) that services read for the preview of a link.
     fn head(&self, single: bool) -> String {
         let (title, caption) = (escaped(self.title), escaped(self.caption));
         let mut head = format!(

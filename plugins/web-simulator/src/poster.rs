@@ -37,7 +37,8 @@ pub(crate) struct Poster {
 }
 
 impl Poster {
-    /// Makes the seen picture from the middle, for an adapted eye.
+    /// Makes the seen picture from the middle. Its values are divided by the brightness β, as an
+    /// adapted eye sees them.
     ///
     /// # Errors
     /// If the host cannot simulate.

@@ -45,9 +45,8 @@ fn conforms() {
     conformance(&PLUGIN).unwrap();
 }
 
-/// For every sample stack, with a uniform or directional backlight, the page's picture equals the
-/// picture of the display model. The two pictures may differ by the rounding that preview.json
-/// states.
+/// For every sample stack, with a uniform or directional backlight, the page's picture differs from
+/// the picture of the display model only by the rounding to 8 bits.
 #[test]
 fn the_page_agrees_with_the_display_model() {
     for sample in samples().iter().filter(|sample| sample.stack().is_some()) {
@@ -167,7 +166,7 @@ fn the_poster_is_the_seen_picture_and_links_show_it() {
     assert!(page.contains(r#"src="data:image/jpeg;base64,"#) && !page.contains("og:image"));
 }
 
-/// The poster arrives at once also on slow connections, and is sharp enough to be looked at.
+/// The poster's file is small enough for slow connections, and large enough for a sharp picture.
 #[test]
 fn the_poster_of_a_large_display_has_a_limited_size() {
     let display = Display::uniform([1300, 810], 0.2, [1, 1], [20.0, 20.0], &[-3.0, 3.0], 1);

@@ -7,8 +7,7 @@ use lumistack_splats::read::Found;
 /// Packed content that a library decodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Packed<'a> {
-    /// A picture, of which only the size is read, from its header. The result is
-    /// [`Unpacked::Size`].
+    /// A picture; only its size is read, from its header. The result is [`Unpacked::Size`].
     Size(Use, &'a [u8]),
     /// A picture, all of whose texels are decoded. The result is [`Unpacked::Pixels`].
     Picture(Use, &'a [u8]),

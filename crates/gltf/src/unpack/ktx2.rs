@@ -21,7 +21,7 @@ pub(super) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 
 /// Number of bytes of the header before the list of levels.
 const HEADER_BYTES: usize = 80;
-/// Number of bytes of one level's entry in this list.
+/// Number of bytes of a level's entry in the list of levels.
 const LEVEL_BYTES: usize = 24;
 /// Range of the header's bytes that states offset and length of the key/value data.
 #[cfg(feature = "ktx2")]

@@ -25,15 +25,15 @@ const ENVIRONMENTS: [ImageFormat; 1] = [ImageFormat::Hdr];
 /// A function that makes the decoder of a picture.
 pub(super) type Opener = for<'a> fn(ImageFormat, &'a [u8], Limits) -> ImageResult<Box<dyn ImageDecoder + 'a>>;
 
-/// Makes decoders of all formats.
+/// Makes the decoder of a picture of any format.
 pub(super) fn all(format: ImageFormat, bytes: &[u8], limits: Limits) -> ImageResult<Box<dyn ImageDecoder + '_>> {
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     reader.limits(limits);
     Ok(Box::new(reader.into_decoder()?))
 }
 
-/// Makes decoders of common pictures ([`Packed::is_common`](super::Packed::is_common)). Code that
-/// calls only this function contains no other decoder.
+/// Makes the decoder of a common picture ([`Packed::is_common`](super::Packed::is_common)). Code
+/// that calls only this function contains no other decoder.
 pub(super) fn common(format: ImageFormat, bytes: &[u8], limits: Limits) -> ImageResult<Box<dyn ImageDecoder + '_>> {
     let bytes = Cursor::new(bytes);
     let mut decoder: Box<dyn ImageDecoder + '_> = match format {

@@ -1,4 +1,5 @@
-"""Prints bounds and mean of the corners of Khronos' Fox at a few times, for animations.rs. The script follows the specification of glTF 2.0, and uses only NumPy.
+"""Prints bounds and mean of the corners of Khronos' Fox at a few times, for animations.rs. The
+script follows the specification of glTF 2.0, and uses only NumPy.
 
 Usage: python3 fox.py .../Fox/Fox.glb
 """

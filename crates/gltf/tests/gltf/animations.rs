@@ -158,8 +158,7 @@ fn weights_move_morph_targets() {
     }
     let (scene, warnings) = load_choosing(&b.glb(), &LoadOptions::default());
     assert_eq!(scene.unwrap().meshes[0].positions[0].z, 5.5);
-    let expected =
-        "test.gltf: /animations: the file is animated; its nodes keep their own values, since no time is given";
+    let expected = "test.gltf: /animations: the file is animated; its nodes keep their own values, since neither a time nor an animation is given";
     assert_eq!(warnings, [expected]);
 }
 
@@ -168,7 +167,7 @@ fn cubic_weights_have_three_groups_per_key() {
     let b = animated(|b| {
         let input = b.floats("SCALAR", &[0.0, 2.0]);
         // each key has in-tangents, values and out-tangents of two targets: the first weight rises
-        // as t² − t³/4 (from 0 to 2), the second stays at 1
+        // as 1.5 t² − 0.5 t³ (from 0 to 2), the second stays at 1
         let key = |value: [f32; 2]| [0.0, 0.0, value[0], value[1], 0.0, 0.0];
         let values: Vec<f32> = [key([0.0, 1.0]), key([2.0, 1.0])].concat();
         let output = b.floats("SCALAR", &values);

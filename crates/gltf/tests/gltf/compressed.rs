@@ -78,7 +78,7 @@ fn draco_primitives_are_decoded() {
     let (jet, warnings) = support::load_file(&folder.join("jet-fighter/jet-fighter.glb"));
     let jet = jet.unwrap();
     assert_eq!(jet.triangle_count(), 36440, "{warnings:?}");
-    // the accessors state the bounds of the mesh before compression
+    // print the bounds, for a comparison with the bounds before compression, which the file states
     let bounds = jet.bounds();
     println!("jet-fighter spans {} to {}", bounds.min, bounds.max);
 }

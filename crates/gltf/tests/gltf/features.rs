@@ -608,7 +608,7 @@ fn what_has_no_effect_is_said() {
     let (scene, warnings) = load(&b.glb());
     assert!(scene.unwrap().meshes[0].tangents.is_empty());
     let expected = [
-        "/animations: the file is animated; its nodes keep their own values, since no time is given",
+        "/animations: the file is animated; its nodes keep their own values, since neither a time nor an animation is given",
         "/scenes/0/extras/lumistack/enviroment: the member is unknown and has no effect; known members: environment",
         "/meshes/0/primitives/0: some tangents have no direction; all are left out and generated where needed",
     ];

@@ -6,8 +6,9 @@
 //!
 //! Here o, c and z are a splat's opacity, colour and depth. T is the transmittance of all nearer
 //! splats, and u is half the squared Mahalanobis distance of the pixel from the splat's centre. A
-//! block's sums stay in registers for all splats. e^(−u) is (e^(−u/16))^16. For v = u/16 within a
-//! splat's extent, e^(−v) is a polynomial of degree 4 with an error below 2·10⁻⁷.
+//! block's sums stay in registers for all splats. e^(−u) is computed as (e^(−v))^16 with v = u/16.
+//! For e^(−v) the kernel uses the Taylor polynomial of degree 4. Within a splat's extent (v ≤ 0.28)
+//! its error is below 2·10⁻⁵, and the error of e^(−u) is below 4·10⁻⁶.
 
 use lumistack_simd::{Kernel, Lanes};
 

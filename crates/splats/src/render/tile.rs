@@ -17,8 +17,8 @@
 //! z₁   depth of the chunk's first splat
 //! ```
 //!
-//! A tile is finished when all of its pixels are finished. Then the splats of later chunks are
-//! never projected.
+//! A tile is finished when all of its pixels are finished in all views. Then the splats of later
+//! chunks are never projected.
 
 use glam::Vec3;
 use lumistack_core::colour::{srgb_decode, srgb_encode};

@@ -45,7 +45,7 @@ pub(crate) enum Boundary {
 /// seam is an edge whose two faces have different values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum FaceVarying {
-    /// Data are smoothed everywhere, also at seams and their corners.
+    /// Data are smoothed everywhere, also along seams and at corners.
     None,
     /// A value at a vertex is not smoothed if only one face has this value at the vertex.
     CornersOnly,
@@ -152,7 +152,7 @@ impl Refinement {
                 }
             }
         }
-        // Mark holes: their faces affect their neighbours, and are left out at the end.
+        // Mark the faces that are holes. They affect their neighbours, and are left out at the end.
         let mut sources: Vec<Option<u32>> = polygons.sources.into_iter().map(Some).collect();
         let holes: HashSet<u32> = cage.hole_indices.iter().filter_map(|&face| u32::try_from(face).ok()).collect();
         for (face, source) in (0..).zip(&mut sources) {

@@ -221,8 +221,8 @@ pub(super) fn split(topology: &Topology, triangles: bool) -> (Topology, Vec<u32>
     let mut finer = Topology::new(topology.vertex_count + added, starts, corners, sharpness);
     let first_edge_child = topology.vertex_count as u32;
     for edge in &mut finer.edges {
-        // An edge that is a half of a parent's edge has two ends. The lower index is a vertex of
-        // the parent mesh, and the higher index is the midpoint of the parent's edge.
+        // Each half of a parent's edge has the edge's sharpness, reduced by one level. One end of a
+        // half is a vertex of the parent mesh (the lower index), the other is the edge's midpoint.
         let [low, high] = edge.ends;
         if edge.joined
             && low < first_edge_child

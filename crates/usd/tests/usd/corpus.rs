@@ -163,7 +163,7 @@ fn posed_points_are_those_that_openusd_baked() {
     let (Some(assets), Some(_)) = (assets(), common::python()) else { return };
     let folder = Path::new(&assets).join("usd/OpenUSD-UsdSkel");
     let mut heights = Vec::new();
-    // Compare only at the baked time codes 1, 4 and 10. Between them baked points move in straight
+    // Compare at the time codes 1, 4 and 10. Between whole time codes baked points move in straight
     // lines, and posed points do not.
     for time_s in [0.0, 0.125, 0.375] {
         let [posed, baked] = ["arm.usda", "arm_baked.usda"].map(|file| {

@@ -363,8 +363,8 @@ fn domes_look_the_way_openexr_does() {
     let near = |a: Vec3, b: Vec3| assert!((a - b).length() < 1e-6, "{a} {b}");
     let environment = dome(json!({"kind": "dome", "radiance": [2, 3, 4], "image": 0}));
     assert_eq!(environment.strength, Vec3::new(2.0, 3.0, 4.0));
-    // the picture's centre is −z and its right edge +x in the scene's environment; in USD they are
-    // +z and −x
+    // the picture's centre shows −z and its right half +x in the scene's environment; in USD they
+    // show +z and −x
     let turn = environment.scene_from_environment;
     near(turn * Vec3::NEG_Z, Vec3::Z);
     near(turn * Vec3::X, Vec3::NEG_X);

@@ -143,8 +143,7 @@ fn pointers(value: &Value, place: String, places: &mut Vec<String>) {
     }
 }
 
-/// Writes random bytes to random positions of the arrays, in which every pattern of bits is a
-/// number.
+/// Writes random bytes, or the bits of NaN, to random positions of the arrays.
 #[test]
 fn arrays_that_lie_do_no_harm() {
     let (header, data) = sample();
