@@ -173,10 +173,10 @@ fn a_far_backdrop_does_not_draw_the_window_away() {
     // a stated focus is not doubted, and no compression shows the backdrop
     let (said, scale, inside) = depth(&with(396.0, Some(4.0)));
     assert!(scale == 1.0 && (0.15..0.3).contains(&inside), "{scale} {inside} {said}");
-    assert!(said.contains("no room is made for it") && !said.contains("Focus on Object"), "{said}");
+    assert!(said.contains("it stays outside the depth of field") && !said.contains("Focus on Object"), "{said}");
     // a backdrop near the card is not far
     let (said, ..) = depth(&with(2.0, None));
-    assert!(!said.contains("Focus on Object") && !said.contains("no room is made"), "{said}");
+    assert!(!said.contains("Focus on Object") && !said.contains("it stays outside the depth of field"), "{said}");
 }
 
 /// A run reports a camera and lights that the file lacks, and their replacements.

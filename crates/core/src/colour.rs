@@ -5,7 +5,7 @@
 use std::sync::LazyLock;
 
 /// Number of equal bins into which [`SrgbCodes`] divides the range 0..1. The search for a value's
-/// code starts with the code of the lower end of the value's bin.
+/// code starts with the code at the lower end of a bin.
 const BINS: usize = 4096;
 
 /// A table for [`srgb_code`]. The formula calls `f32::powf` for every value, which would take most

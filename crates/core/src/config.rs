@@ -1,5 +1,5 @@
-//! Strict configuration files: TOML in which an unknown key is an error. Its message names the line
-//! and the nearest known key.
+//! Strict configuration files: TOML in which an unknown key is an error. The error's message names
+//! the line and the nearest known key.
 
 use serde::de::DeserializeOwned;
 use thiserror::Error;
@@ -55,7 +55,7 @@ pub fn plain(message: &str, key: &str) -> String {
     let unit = UNITS.iter().find(|(ending, _)| key.ends_with(ending)).map_or("", |(_, unit)| *unit);
     let expected = match expected {
         "f32" | "f64" => format!("a number{unit}"),
-        "u8" | "u16" | "u32" | "u64" | "usize" => format!("a whole number, 0 or more{unit}"),
+        "u8" | "u16" | "u32" | "u64" | "usize" => format!("a whole number{unit}, 0 or more"),
         "i8" | "i16" | "i32" | "i64" | "isize" => format!("a whole number{unit}"),
         "a boolean" => "true or false".into(),
         "a string" | "string" | "str" => "a text in quotes".into(),

@@ -39,9 +39,9 @@ pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
 /// are released, and the count begins anew. The system keeps released pages in its cache if it has
 /// room, and maps them again at their next use.
 ///
-/// So the pages in memory take at most the limit, plus the bytes that all threads use together.
-/// The system maps up to [`NEIGHBOURS`](Self::NEIGHBOURS) bytes around a byte that is read. Systems
-/// other than Linux decide themselves which pages are in memory.
+/// So the pages in memory take at most the limit, plus the bytes that all threads use together. For
+/// each byte that is read, the system maps up to [`NEIGHBOURS`](Self::NEIGHBOURS) bytes around it.
+/// Systems other than Linux decide themselves which pages are in memory.
 #[derive(Debug)]
 pub struct Window {
     start: usize,

@@ -5,7 +5,7 @@
 //! file after the job is written and read back. In paths that are only shown, U+FFFD replaces bytes
 //! that are not UTF-8.
 //!
-//! On Windows names are UTF-16, in which surrogates may lack their pair. Such a surrogate is
+//! On Windows names are UTF-16, which may contain unpaired surrogates. An unpaired surrogate is
 //! written as the three bytes that UTF-8 would have for its number, as in the format WTF-8
 //! (<https://simonsapin.github.io/wtf-8/>).
 
@@ -136,8 +136,8 @@ fn from_bytes(bytes: Vec<u8>) -> PathBuf {
     String::from_utf8_lossy(&bytes).into_owned().into()
 }
 
-/// Decodes WTF-8 to UTF-16, in which surrogates may lack their pair. U+FFFD replaces other bytes
-/// that are not UTF-8.
+/// Decodes WTF-8 to UTF-16, which may contain unpaired surrogates. U+FFFD replaces other bytes that
+/// are not UTF-8.
 #[cfg(any(windows, test))]
 fn wide(bytes: &[u8]) -> Vec<u16> {
     // 0xED begins a character of three bytes, so it is never the second or third byte of another
@@ -198,7 +198,7 @@ mod tests {
         read_back("Größe 日本 🗻/100 %.glb".into());
         #[cfg(unix)]
         read_back(from_bytes(b"m\xF6bel 100 %.glb".to_vec()));
-        // the second half of a pair, the first half, and halves in the wrong order
+        // the second surrogate of a pair, the first surrogate, and both in the wrong order
         #[cfg(windows)]
         for units in [&[0xDDFB, 0x61][..], &[0x65E5, 0x25, 0xD83D], &[0xDDFB, 0xD83D]] {
             read_back(<std::ffi::OsString as std::os::windows::ffi::OsStringExt>::from_wide(units).into());
@@ -213,7 +213,7 @@ mod tests {
         assert_eq!(wide(b"\xED\xB7\xBB\xED\xA0\xBD"), [0xDDFB, 0xD83D]);
         // U+D7FF is the last character before the surrogates
         assert_eq!(wide(b"\xED\x9F\xBF"), [0xD7FF]);
-        // bytes of a name on Linux, and a half that is cut off
+        // bytes of a name on Linux, and a surrogate that is cut off
         assert_eq!(wide(b"m\xF6b"), [0x6D, 0xFFFD, 0x62]);
         assert!(wide(b"a\xED\xA0").starts_with(&[0x61, 0xFFFD]));
     }

@@ -61,7 +61,7 @@ pub struct Cancelled;
 pub struct Warning {
     /// The place of the problem: a file, a JSON path, a stage.
     pub place: String,
-    /// One sentence: the problem, and how it is handled.
+    /// The problem, and how it is handled.
     pub message: String,
 }
 

@@ -18,11 +18,11 @@
 //!
 //! * [`ToneCurve::Agx`]: AgX without a creative grade (Troy Sobotka; matrices and curve as in Eary
 //!   Chow's `AgX_LUT_Gen`, from which Blender's table is made). The steps are in Rec. 2020. An
-//!   inset matrix draws colours together. A sigmoid of log₂ exposure maps −10 to +6.5 stops around
-//!   middle grey 0.18. The hue is then turned back by 60 % of its change in the sigmoid. An outset
-//!   matrix spreads the colours again. Values below 0 in BT.709 are raised to 0 at equal luminance.
-//!   The result is within 0.03 of Blender's table, which treats colours outside the gamut more
-//!   elaborately.
+//!   inset matrix draws colours together. A sigmoid of log₂ exposure maps the range from −10 to
+//!   +6.5 stops around middle grey, 0.18, to 0..1. The hue is then turned back by 60 % of its
+//!   change in the sigmoid. An outset matrix spreads the colours again. Values below 0 in BT.709
+//!   are raised to 0 at equal luminance. The result is within 0.03 of Blender's table, which
+//!   treats colours outside the gamut more elaborately.
 
 use crate::colour::luminance;
 
@@ -38,7 +38,7 @@ pub enum ToneCurve {
     Agx,
 }
 
-/// Reflectance of a dielectric at normal incidence, which the Khronos curve subtracts. Its
+/// Reflectance of a dielectric at normal incidence, which the Khronos curve subtracts. The curve's
 /// specification calls this value F90.
 const F90: f32 = 0.04;
 /// Value at which the compression of the Khronos curve starts.
@@ -48,7 +48,7 @@ const DESATURATION: f32 = 0.15;
 
 /// Exposed value of middle grey, which AgX does not change.
 const MIDDLE_GREY: f32 = 0.18;
-/// Lowest and highest value of AgX's sigmoid, in stops from middle grey.
+/// Lowest and highest input of AgX's sigmoid, in stops from middle grey.
 const STOPS: [f32; 2] = [-10.0, 6.5];
 /// Slope of AgX's sigmoid at middle grey.
 const SLOPE: f32 = 2.4;

@@ -22,8 +22,8 @@ pub struct Analysis {
     pub layers_mm: Vec<f64>,
     /// Distance of a directional backlight from z = 0, millimetres; `None` for a uniform backlight.
     pub backlight_mm: Option<f64>,
-    /// Distance between the rearmost and the frontmost of the layers and the directional backlight,
-    /// millimetres.
+    /// Distance from the rearmost to the frontmost plane, millimetres. The planes are the layers,
+    /// and the lenslets of a directional backlight.
     pub thickness_mm: f64,
     /// [low, high] depths between which the display can show the finest detail of the light field's
     /// pixels, millimetres. `None` if there is no such depth.
@@ -100,8 +100,8 @@ pub struct Zone {
     pub whole_from_mm: f64,
     /// Width and height of the zone at the distance `at_mm`, millimetres.
     pub width_mm: [f64; 2],
-    /// Distance from the display for `width_mm` and `views_between_eyes`, millimetres: twice
-    /// `whole_from_mm`, or the viewing distance of pinhole views.
+    /// Distance from the display at which `width_mm` and `views_between_eyes` are stated,
+    /// millimetres: twice `whole_from_mm`, or the viewing distance of pinhole views.
     pub at_mm: f64,
     /// Number of views between two eyes that are 63 mm apart, at the distance `at_mm`.
     pub views_between_eyes: f64,
@@ -133,7 +133,8 @@ pub struct Timing {
 pub struct Brightness {
     /// Brightness scale β.
     pub beta: f64,
-    /// Largest transmittance of all layers together, which is the largest possible β.
+    /// Largest transmittance of all layers together, which is the largest possible β; 1 if layers
+    /// do not attenuate.
     pub white: f64,
     /// Light of the darkest state divided by the light of the brightest state.
     pub black: f64,
@@ -319,8 +320,8 @@ impl Brightness {
         };
         let (white, black) = match display.formation {
             Formation::Attenuating => (peaks.product(), blacks.product::<f64>() * lamp),
-            // In the other formations, layers do not multiply their light. One layer alone can make
-            // the display fully bright, so the darkest state needs every layer at its black level.
+            // In the other formations, layers do not multiply their light. One bright layer alone
+            // makes the display bright, so the layer with the highest black level decides.
             _ => (1.0, blacks.fold(0.0, f64::max)),
         };
         Self { beta: display.brightness, white, black }

@@ -15,8 +15,9 @@
 //! ```
 //!
 //! The mean is the mean of L̃/β, or of L, over these rays. The contrast is 1 for an exact grating
-//! and 0 for grey. Axes are measured separately, on a strip of one row of pixels and of views. The
-//! three channels have three phases φ_0, a third of a period apart, and the result is their mean.
+//! and 0 for grey. Axes are measured separately, on a strip with one row of pixels and one row of
+//! views. The three channels have three phases φ_0, a third of a period apart, and the result is
+//! the mean over the channels.
 //! The bound of [`Display::spatial_cutoff`] limits the frequencies that any patterns could show.
 //! The contrast is the result of one solver with M frames.
 //!
@@ -32,8 +33,8 @@
 //!   views.
 //!
 //! The contrast *in between* obeys the bound, except in narrow zones. A zone is narrow if a grating
-//! moves by at most [`HALF_SINC`] periods over it. There, even a picture that is the same for all
-//! slopes has half of the grating's contrast.
+//! moves by at most [`HALF_SINC`] periods over it. In such a zone, even a picture that is the same
+//! for all slopes has at least half of the grating's contrast.
 
 use std::f64::consts::TAU;
 
@@ -96,7 +97,7 @@ pub struct Contrast {
 /// Measures of contrast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Achieved {
-    /// At the rays of the target.
+    /// The contrast at the rays of the target.
     AtTheViews,
     /// The contrast over the whole emission into the viewing zone.
     InBetween,
@@ -165,7 +166,7 @@ impl Gratings {
     }
 
     /// Solves a strip for one grating. Returns the contrast at the target views, and the contrast
-    /// over rays between these views.
+    /// over rays of the whole zone.
     fn one(&self, strip: &Display, z_mm: f64, frequency: f64, task: Task<'_>) -> Result<[f64; 2], ContrastError> {
         let geometry = strip.geometry()?;
         let mut target = LightField::black(geometry.clone())?;

@@ -24,8 +24,8 @@ pub struct Design {
     pub fov_deg: [f64; 2],
     /// [columns, rows] of lenslets; [0, 0] without lenslets.
     pub lenslets: [usize; 2],
-    /// Distance between the rearmost and the frontmost of the layers and the directional backlight,
-    /// millimetres.
+    /// Distance from the rearmost to the frontmost plane, millimetres. The planes are the layers,
+    /// and the lenslets of a directional backlight.
     pub thickness_mm: f64,
     /// Number of panels: the layers, and the panel behind the lenslets.
     pub panels: usize,
@@ -312,7 +312,7 @@ struct Sketch {
 
 /// Draws plots of [`Row::quality_db`] over the axes along which designs differ. Maps have two of
 /// the axes layers, frames and brightness (the paper's Figures 7 and 8), and curves have one axis.
-/// Also returns the number of omitted plots.
+/// Also returns the number of plots that `which` omits.
 ///
 /// # Errors
 /// If drawing fails.

@@ -13,10 +13,10 @@ const MOST_BINS: usize = 64;
 
 impl Display {
     /// Returns this display at another resolution. The field becomes `resolution` = [columns, rows]
-    /// pixels over the same width. The numbers of mask pixels and of lenslets are scaled by the
-    /// same factors. The lenslets cover at least the same fraction of the field. Point spreads keep
-    /// their width in millimetres, so that a coarse preview blurs as the display does. Physical
-    /// panels stay the same, and colour filters stay stripes of one mask column.
+    /// pixels over the same width. The numbers of mask pixels and of lenslets change in proportion
+    /// to the field's. The lenslets cover at least the same fraction of the field. Point spreads
+    /// keep their width in millimetres, so that a coarse preview blurs as the display does.
+    /// Physical panels stay the same, and colour filters stay stripes of one mask column.
     #[must_use]
     pub fn with_resolution(&self, resolution: [usize; 2]) -> Self {
         let mut display = self.clone();
@@ -49,8 +49,8 @@ impl Display {
 
     /// Returns this display adapted to a light field that already exists. Masks scale with the
     /// resolution and the size of the light field. The new field of view makes the display's views
-    /// as far apart as the views of the light field. Lenslets scale with the masks. Distances and
-    /// frames stay the same.
+    /// as far apart as the views of the light field. Lenslets scale with the masks. The distances
+    /// of layers and lenslets stay the same, and so do the frames.
     ///
     /// The backlight's bins follow the views per axis: the number of bins per view stays the same.
     /// So a backlight that was made for the display's views has one bin for each view of the light
@@ -154,7 +154,7 @@ impl Display {
             return Err(DisplayError::Value {
                 key: "backlight.views".into(),
                 expected: format!(
-                    "a light field whose {name} rays need at most {MOST_BINS} angular bins of a view's width (use parallel views or \
+                    "a light field whose {name} slopes need at most {MOST_BINS} angular bins or two per view (use parallel views or \
                      outside_bins = \"repeat\"), or a display with a uniform backlight"
                 ),
                 found: format!(

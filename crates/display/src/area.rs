@@ -1,13 +1,12 @@
 //! Computes the intersections of the rays of one view with the display, over the whole area of
 //! every field pixel.
 //!
-//! Layers consist of squares of constant value. So along an axis the layer pixel that a ray reads
-//! changes only where the ray crosses an edge. Each axis of a field pixel is cut at all these
-//! edges: the edges of the pixels of every layer, of the lenslets and of their bins. All rays
-//! between two cuts read the same values. So one ray represents the part of the pixel between two
-//! cuts, with the part's width as its weight. The intersections are separable, so the pixel's area
-//! is divided into products of a part along x and a part along y. Thus the mean over the area is
-//! exact.
+//! Layers consist of squares of constant value. So along an axis, two rays read different values
+//! only if an edge lies between them: of a layer pixel, a lenslet or a bin. Each axis of a field
+//! pixel is cut at all these edges. All rays between two cuts read the same values. So one ray
+//! represents the part of the pixel between two cuts, with the part's width as its weight. The
+//! intersections are separable, so the pixel's area is divided into products of a part along x and
+//! a part along y. The weighted mean over these products is the exact mean over the area.
 
 use crate::raymap::{Axis, AxisRay};
 use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};

@@ -196,8 +196,9 @@ impl Display {
         }
     }
 
-    /// Returns the display without the calibration of its panels. Patterns do not depend on
-    /// calibration, so two displays that differ only in calibration have the same patterns.
+    /// Returns the display without the calibration of its panels and its lens array, and with the
+    /// default colour order. Patterns depend on none of these. So two displays that differ only in
+    /// them have the same patterns.
     #[must_use]
     pub fn without_panels(&self) -> Self {
         let mut display = Self { colour_order: Default::default(), ..self.clone() };

@@ -1,10 +1,10 @@
 //! Depth of field: the highest spatial frequency that a display shows at each depth, and the shift
 //! of content between views.
 //!
-//! A diffuse plane at z occupies the line of direction u = (1, z) in the plane of spatial frequency
-//! and frequency per slope. N layers and a backlight cover the Minkowski sum of segments ±g (the
-//! paper's spectral support; this one form covers eqs. 21 to 26). So the highest spatial frequency
-//! at depth z, in cycles per millimetre, is
+//! In coordinates of spatial frequency and frequency per slope, a diffuse plane at z occupies the
+//! line of direction u = (1, z). N layers and a backlight cover the Minkowski sum of segments ±g
+//! (the paper's spectral support; this one form covers eqs. 21 to 26). So the highest spatial
+//! frequency at depth z, in cycles per millimetre, is
 //!
 //! ```text
 //! ω(z) = min over i with g_i × u ≠ 0 of  Σ_j |g_i × g_j| / |g_i × u|,

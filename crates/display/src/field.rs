@@ -13,7 +13,7 @@ pub struct LightField {
     depth: Option<SeenDepth>,
 }
 
-/// Depth of the surfaces in the middle view of a light field. Light fields of scenes have a depth,
+/// Depth of the surfaces in the middle view of a light field. Light fields of scenes have a depth;
 /// light fields of pictures have none.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenDepth {

@@ -1,11 +1,11 @@
 //! The forward model: the light that a display emits. [`Formation`] has the equations, which hold
 //! for each colour channel separately.
 //!
-//! Rays read the stored values after the response of the layers' hardware
-//! ([`LayerStack::effective`]). A [`Simulator`] computes these values once and then renders any
-//! number of views.
+//! The response of the layers' hardware changes the stored values, and rays read the changed values
+//! ([`LayerStack::effective`]). A [`Simulator`] computes the changed values once and then renders
+//! any number of views.
 //!
-//! The simple version reads four pixels of a layer for every ray. The fast version combines whole
+//! The simple version reads four pixels of a layer for every ray. The fast version processes whole
 //! runs (`Reads::Runs`). In a run, neighbouring rays read neighbouring pixels, one pixel per ray.
 //! Both versions give the same bits. Rays form such runs under nearest sampling at equal pitch, and
 //! in views whose rays hit the layer's pixel centres. The rays of a seen picture also form runs.
@@ -24,7 +24,7 @@ pub const LEAST_SHARE: f32 = 0.5;
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmittedView {
     /// Emitted radiance L̃, `[row][col][rgb]`; an adapted viewer sees it divided by the stack's
-    /// brightness. The radiance of rays that miss the display is 0.
+    /// brightness. In the views of [`Simulator::view`], invalid rays have radiance 0.
     pub radiance: Tensor<3>,
     /// True for a valid ray, `[row][col]`: false if the ray misses the lenslets, or a layer that
     /// the display's [`Missing`] rule requires.
@@ -302,8 +302,8 @@ fn combine_layer(
     }
 }
 
-/// Combines each `formed[col][rgb]` with the backlight's emission at the ray. The emission is 0 if
-/// the ray is dark or misses the backlight.
+/// Combines each `formed[col][rgb]` with the backlight's emission at the ray. The emission is 0
+/// unless the taps of both axes are [`BacklightTap::Lit`].
 fn combine_backlight(
     formed: &mut [f32],
     emission: &Tensor<6>,
@@ -431,7 +431,7 @@ mod tests {
             }
         }
         assert!(lines > 20 && taps > 20, "{lines} {taps}");
-        // Rays that all miss the layer give no runs, and so does an empty list of rays.
+        // The list of runs is empty if all rays miss the layer, or if there are no rays.
         let missed = Tap { first: Tap::MISSED, second: Tap::MISSED, t: 0.0 };
         assert!(
             [&[][..], &[missed; 3]].iter().all(|taps| matches!(Reads::of(taps), Reads::Runs(runs) if runs.is_empty()))

@@ -27,7 +27,7 @@ pub struct ViewGrid {
     pub slope_y: Vec<f64>,
 }
 
-/// An error of an invalid view grid.
+/// The error of an invalid view grid, geometry or light field.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct GridError {
@@ -188,8 +188,8 @@ impl Projection {
     }
 
     /// Returns the depth that content at depth `z_mm` seems to have if its parallax is multiplied
-    /// by `factor`. For parallel projections it is factor · z. For pinholes at distance D it is the
-    /// z' with z'/(D − z') = factor · z/(D − z).
+    /// by `factor`. The result is factor · z for parallel projections. For pinholes at distance D,
+    /// the result is the z' with z'/(D − z') = factor · z/(D − z).
     pub fn scaled_depth(self, z_mm: f64, factor: f64) -> f64 {
         match self {
             Self::Oblique => factor * z_mm,

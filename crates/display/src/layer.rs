@@ -8,7 +8,8 @@
 //! f = peak · (black + (1 − black) · decode(code / (2^bits − 1)))
 //! ```
 //!
-//! So f lies in [black · peak, peak]. Rays read the stored values after [`Layer::response`].
+//! So f lies in [black · peak, peak]. [`Layer::response`] changes the stored values, and rays read
+//! the changed values.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

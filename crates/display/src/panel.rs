@@ -21,7 +21,7 @@ use crate::Sampling;
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Panel {
     /// Name of the output that drives the panel, as `lumistack show --list` prints it. Panels
-    /// without a name take the outputs that no panel names, from left to right.
+    /// without this key take the outputs that no panel names, from left to right.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub output: Option<String>,
     /// Rotation of the upright picture on the output, clockwise: 0, 90, 180 or 270 degrees.
@@ -102,8 +102,8 @@ mod unread {
     }
 }
 
-/// A matrix is taken as singular if its determinant, relative to the size of its entries, is below
-/// this limit.
+/// A matrix is taken as singular if its determinant, divided by the product of its rows' lengths,
+/// is below this limit.
 const SINGULAR: f64 = 1e-9;
 
 impl Panel {

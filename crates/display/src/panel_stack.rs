@@ -29,7 +29,7 @@ pub struct PanelStack {
     pub refresh_hz: f64,
     /// Brightness scale β.
     pub brightness: f64,
-    /// Transfer function of a panel: the transmittance of each code value.
+    /// Transfer function of a panel, from transmittance to code values.
     pub transfer: Transfer,
     /// Transmittance of black, relative to white.
     pub black_level: f64,
@@ -58,8 +58,8 @@ impl LensArray {
 }
 
 impl PanelStack {
-    /// Returns the largest number of frames in a period that does not flicker at the refresh rate
-    /// `refresh_hz`; at least 1.
+    /// Returns the largest number of frames with which a display does not flicker at the refresh
+    /// rate `refresh_hz`; at least 1.
     pub fn steady_frames(refresh_hz: f64) -> usize {
         ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1)
     }

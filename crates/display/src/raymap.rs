@@ -1,12 +1,13 @@
 //! Intersections of the rays of a light field with the layers and the backlight.
 //!
 //! Column c of the field has its centre at x_c. Layer n has the distance d_n, the offset o_n, the
-//! pitch p_n and W_n columns. The ray through x_c at slope s hits layer n at pixel position u. The
-//! formula for rows is the same, with y down:
+//! pitch p_n and W_n columns. The ray through x_c at slope s hits layer n at pixel position u:
 //!
 //! ```text
 //! u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2
 //! ```
+//!
+//! Rows have the same formula, with y down.
 //!
 //! The map is separable. Let the light field have W × H pixels. Then each layer has a table of W
 //! entries per view column, and one of H entries per view row. These tables describe all rays, so
@@ -20,7 +21,7 @@ use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideB
 pub struct Tap {
     /// Index of the first pixel that the ray reads, or [`Tap::MISSED`].
     pub first: u32,
-    /// Index of the next pixel. It equals `first` under nearest sampling and at the border.
+    /// Index of the next pixel. It equals `first` under nearest sampling, and at the last pixel.
     pub second: u32,
     /// Weight of `second`, 0..1.
     pub t: f32,
@@ -130,8 +131,8 @@ impl BacklightMap {
     }
 
     /// Returns the taps of some rays of every view. `rays` has the ranges of these rays along x and
-    /// along y. Each tap is replaced by the result of `change` for this tap and for the entry of
-    /// `first` (x, y) on the tap's axis.
+    /// along y. `change` computes each new tap from the old tap, and from the entry of `first`
+    /// (x, y) for the tap's axis.
     pub(crate) fn cut(
         &self,
         rays: [&std::ops::Range<usize>; 2],
@@ -261,7 +262,8 @@ impl Axis {
         self.sign() * position / layer.pitch_mm + (layer.resolution[self.index()] as f64 - 1.0) / 2.0
     }
 
-    /// Returns the position at which a ray hits the lenslet grid, in lenslets from the grid's edge.
+    /// Returns the position at which a ray hits the lenslet grid, in lenslets from the grid's left
+    /// or top edge.
     pub(crate) fn lenslet(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
         let position = ray.at_mm + backlight.d_mm * ray.slope - backlight.offset_mm[self.index()];
         self.sign() * position / backlight.pitch_mm + backlight.lenslets[self.index()] as f64 / 2.0
@@ -278,8 +280,8 @@ impl Axis {
 
 /// Returns the lenslet and the bin that each ray reads. The ray's position on the lenslets' plane
 /// selects the lenslet, and its slope selects the bin. Under [`OutsideBins::Repeat`] a ray outside
-/// the bins sees the picture of a neighbouring lenslet, as behind a real lens array. Bins then
-/// continue periodically, and the lenslet changes by one per period.
+/// the bins reads a bin of another lenslet, as behind a real lens array. Bins then continue
+/// periodically, and the lenslet changes by one per period.
 fn backlight_taps(backlight: &LensletBacklight, rays: &[AxisRay], axis: Axis) -> Vec<BacklightTap> {
     let lenslets = backlight.lenslets[axis.index()] as f64;
     let bins = backlight.views[axis.index()] as f64;

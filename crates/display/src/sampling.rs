@@ -10,7 +10,8 @@ pub enum Sampling {
     /// The value of the pixel that the ray hits.
     #[default]
     Nearest,
-    /// A mean of the values of the four pixels around the intersection, weighted by their distance.
+    /// A mean of the values of the four pixels around the intersection. Nearer pixels have larger
+    /// weights.
     Bilinear,
 }
 

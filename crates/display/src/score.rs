@@ -1,8 +1,8 @@
 //! The error of a display's emission against its target.
 //!
-//! PSNR has a peak of 1, and includes all channels of all rays of weight w > 0. `psnr_view`
-//! compares L̃/β, the picture of an adapted viewer, with L. `psnr_raw` compares L̃ with βL, so it
-//! is higher by −20·log10 β.
+//! PSNR has a peak of 1. It includes all channels of all valid rays of weight w > 0. `psnr_view`
+//! compares L̃/β, the picture that an adapted viewer sees, with L. `psnr_raw` compares L̃ with βL,
+//! so it is higher by −20·log10 β.
 
 use lumistack_core::metrics::SquaredError;
 

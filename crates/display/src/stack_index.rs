@@ -19,7 +19,7 @@ pub struct StackIndex {
     pub emission_axes: Vec<String>,
     /// True, since values are amounts of light and not code values.
     pub linear: bool,
-    /// Frames M of one period; the display emits the mean of its frames.
+    /// Number of frames M in one period; the display emits the mean of its frames.
     pub frames: usize,
     /// β: the display emits β times the target.
     pub brightness: f64,

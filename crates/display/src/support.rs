@@ -64,7 +64,8 @@ impl Display {
 
     /// Returns the width of slopes δs per axis (x, y) over which light may be averaged. An average
     /// over this width loses no detail that the display can show far from the display plane. The
-    /// width is at most the whole field of view. For a single layer it is the whole field of view.
+    /// width is at most the whole field of view. It is the whole field of view for a single layer
+    /// with a uniform backlight.
     pub fn angular_footprint(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
             let generators = self.generators(axis);

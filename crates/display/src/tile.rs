@@ -7,10 +7,10 @@
 //! own    │   │   ┌───────┐   │   │   every pixel of the display is the own pixel of one tile
 //! ```
 //!
-//! The map of rays is separable. So a tile is a product of ranges: of field pixels, and of the
-//! pixels of every layer and the lenslets. All ranges come from [`RayMap`]'s own tables. A tile's
-//! map is a section of these tables, so a ray reads the same pixel in a tile as in the whole
-//! display.
+//! The map of rays is separable. So a range along x and a range along y define the tile's field
+//! pixels. The same holds for its pixels on every layer and on the lenslets. The free and held
+//! ranges come from the tables of [`RayMap`]. A tile's map is a section of these tables, so a ray
+//! reads the same pixel in a tile as in the whole display.
 
 use std::ops::Range;
 
@@ -92,7 +92,7 @@ impl Tiling {
     /// Returns a tile by its number; tiles are numbered row by row.
     ///
     /// # Panics
-    /// If there are fewer tiles.
+    /// If there is no tile of this number.
     pub fn tile(&self, number: usize) -> Tile {
         let [(across, widths), (down, heights)] = &self.axes;
         let (cols, rows) = (&across[number % across.len()], &down[number / across.len()]);
@@ -104,9 +104,9 @@ impl Tiling {
         Tile { field: region(&rows.field, &cols.field), parts: parts.collect(), whole: whole.collect() }
     }
 
-    /// Returns the numbers of all tiles whose own pixels are among the held pixels of tile
-    /// `number`, ascending. The solver reads the patterns of these tiles. The tile itself is one of
-    /// them.
+    /// Returns the numbers of the tiles that have own pixels among the held pixels of tile
+    /// `number`, ascending. The number itself is included. The solver of the tile reads the
+    /// patterns of these tiles.
     pub fn around(&self, number: usize) -> Vec<usize> {
         let tile = self.tile(number);
         let shares = |other: &usize| {
@@ -470,7 +470,7 @@ fn paste(to: &mut [f32], region: &Region, from: &[f32], other: &Region) {
     }
 }
 
-/// Copies a region of every plane `[row][col][rgb]` of `rows` and `cols`, plane after plane.
+/// Copies a region of every plane `[row][col][rgb]` of `rows` × `cols` pixels, plane after plane.
 fn copy(from: &[f32], [rows, cols]: [usize; 2], region: &Region, to: &mut [f32]) {
     let width = 3 * region.cols.len();
     if region.is_empty() {

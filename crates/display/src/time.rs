@@ -30,7 +30,7 @@ impl Display {
             (frames, ColourSequence::Simultaneous) => format!("{frames} frames"),
         };
         Some(format!(
-            "{frames} at {} Hz are shown {:.1} times a second and will flicker; {} times a second need a refresh rate of {} Hz",
+            "{frames} at {} Hz are shown {:.1} times a second and will flicker; to show them {} times a second, the panels need a refresh rate of {} Hz",
             self.refresh_hz,
             self.period_hz(),
             Self::FLICKER_HZ,

@@ -16,19 +16,19 @@ const BEYOND: f64 = 0.25;
 /// Tolerance with which a quotient is rounded down to a whole number.
 const ROUNDING: f64 = 1e-9;
 
-/// The views that sample the zone |s| ≤ tan(α/2) of a display. In files `"auto"`,
-/// `[horizontal, vertical]`, or `{ step = [x, y] }`.
+/// The views that sample the zone |s| ≤ tan(α/2) of a display. The forms in files are `"auto"`,
+/// `[horizontal, vertical]` and `{ step = [x, y] }`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Views {
-    /// Views at multiples of the display's [native step](crate::native_step). A display that shows
-    /// these views well also shows the views between them well.
+    /// Views at multiples of the step of [`auto_step`](crate::Display::auto_step). A display that
+    /// shows these views well also shows the views between them well.
     #[default]
     Auto,
     /// A number of views, [horizontal, vertical], at the centres of equal bins of the zone, as in
     /// the paper.
     Fixed([usize; 2]),
-    /// Views at all multiples of these slopes (x, y), ≥ 0, that are in the zone. A step of 0 gives
-    /// one view, straight ahead.
+    /// Views at all multiples of these slopes (x, y) in the zone, and up to a quarter of a step
+    /// outside it. The slopes are ≥ 0. A step of 0 gives one view, straight ahead.
     Step([f64; 2]),
 }
 

@@ -39,10 +39,10 @@ pub struct EyeBox {
 }
 
 impl Weights {
-    /// Returns the weights that follow viewers. A ray has the weight `floor` + Σ weight · exp(−½
-    /// (r/σ)²). The distance r of the ray from the eye is measured in the plane through the eye
-    /// parallel to the display. `floor` ≥ 0 is the least weight of every ray, so that directions
-    /// between eye boxes are solved too.
+    /// Returns weights that are largest for the rays that pass near viewers' eyes. A ray has the
+    /// weight `floor` + Σ weight · exp(−½ (r/σ)²). The distance r of the ray from the eye is
+    /// measured in the plane through the eye parallel to the display. `floor` ≥ 0 is the least
+    /// weight of a ray. With a floor above 0, directions between eye boxes are solved too.
     ///
     /// # Errors
     /// If the geometry is invalid, or an eye is not in front of the display. Also if σ is not above

@@ -49,8 +49,8 @@ impl Zone {
     }
 
     /// Returns `count` directions, each as a grid of one view. An additive recurrence of low
-    /// discrepancy (Roberts' R₂) spreads them over the zone. Its ratio is the real root of x³ = x +
-    /// 1. Equal zones and counts give equal directions.
+    /// discrepancy (Roberts' R₂) spreads them over the zone. Its steps are 1/r and 1/r², where r is
+    /// the real root of x³ = x + 1. Equal zones and counts give equal directions.
     pub fn directions(&self, count: usize) -> Vec<ViewGrid> {
         const RATIO: f64 = 1.324_717_957_244_746;
         let point = |i: usize| [1.0, 2.0].map(|power| (0.5 + (i + 1) as f64 * RATIO.powf(-power)).fract());
@@ -147,8 +147,8 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Returns the PSNR with peak 1, dB. Smaller errors are raised to 1.5e-6², since noise may make an
-/// error 0 or negative. 1.5e-6 is a tenth of a 16-bit step.
+/// Returns the PSNR with peak 1, dB. Errors below 1.5e-6² are raised to this value, since noise may
+/// make an error 0 or negative. 1.5e-6 is a tenth of a 16-bit step.
 fn psnr(mse: f64) -> f64 {
     const LEAST: f64 = 1.5e-6 * 1.5e-6;
     -10.0 * mse.max(LEAST).log10()

@@ -2,8 +2,8 @@
 //! same name.
 //!
 //! Floats are linear light, unless the JSON has `"linear": false`. Integers are decoded as sRGB
-//! code values, unless the JSON has `"linear": true`. Without the key `linear`, a warning reports
-//! this.
+//! code values, unless the JSON has `"linear": true`. If integers are decoded without the key
+//! `linear`, a warning reports the decoding.
 
 use std::path::{Path, PathBuf};
 

@@ -22,13 +22,13 @@ use crate::source::Source;
 
 /// Largest accepted value: the largest half float.
 pub(crate) const LARGEST: f32 = 65504.0;
-/// Negative values become 0. Values below this cause a warning; smaller overshoots of a filter do
-/// not.
+/// Negative values become 0. Only values below this limit cause a warning, since filters overshoot
+/// slightly.
 const OVERSHOOT: f32 = -1e-3;
 /// Pixels are regarded as square if their width and height differ by less than this fraction.
 const SQUARE: f64 = 0.01;
 /// Smallest disparity for which the focus is moved, in pixels per view. The 10th and the 90th
-/// percentile must have one sign, and both must be at least this large.
+/// percentile of the disparities must have one sign, and both must be at least this large.
 const STILL_PX: f64 = 0.5;
 
 /// A view of the source that is not kept, and lies between two kept ones.
@@ -45,7 +45,7 @@ pub struct LeftOut {
 pub struct Reading<'a> {
     /// The display's footprint. Required only if [`GeometryFlags::prefilter`] is set.
     pub footprint: Option<Footprint<'a>>,
-    /// Largest number of views between the kept views that are read too.
+    /// Largest number of other views, between the kept views, that are also read.
     pub most_left_out: usize,
     /// Decides whether the light field is kept in a file. `None` keeps every light field in memory.
     pub paging: Option<Paging<'a>>,
@@ -239,7 +239,7 @@ fn picks(source: &Source, flags: &GeometryFlags) -> Result<[Vec<usize>; 2], Fiel
     let [rows, cols] = source.views;
     let [kept_cols, kept_rows] = flags.views.unwrap_or([cols, rows]);
     if !(1..=cols).contains(&kept_cols) || !(1..=rows).contains(&kept_rows) {
-        let expected = format!("1 × 1 to {cols} × {rows} views, which the light field has");
+        let expected = format!("1 × 1 to {cols} × {rows} views (the light field has no more)");
         return Err(FieldError::malformed(&source.path, "--views", expected, format!("{kept_cols} × {kept_rows}")));
     }
     Ok([pick(rows, kept_rows), pick(cols, kept_cols)])

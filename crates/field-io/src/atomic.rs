@@ -49,8 +49,8 @@ pub fn create_folder(path: &Path) -> Result<(), FieldError> {
     fs::create_dir_all(path).map_err(FieldError::io(path, "make the folder"))
 }
 
-/// Removes a file that may be absent. Before a caller changes files, it removes the index that
-/// lists them, so that an index never lists half-written files.
+/// Removes a file that may be absent. Callers remove an index before they change the files that it
+/// lists. So an index never lists half-written files.
 ///
 /// # Errors
 /// If the file exists and cannot be removed.

@@ -51,8 +51,8 @@ pub struct Description {
 /// a time is in memory.
 ///
 /// # Errors
-/// The errors of [`open`](crate::open). Incomplete geometry and unusual values are not errors here;
-/// the description contains them.
+/// If the path is of another kind, a file is damaged, or views differ in size. Incomplete geometry
+/// is no error: it gives `None`. Values that are not finite are counted.
 pub fn describe(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Description, FieldError> {
     let mut source = detect::detect(path, flags, task)?;
     let [rows, cols] = source.views;

@@ -26,14 +26,15 @@ const REACH: usize = 64;
 const BLOCKS_PER_AXIS: usize = 40;
 /// Smallest number of blocks with a distinct minimum that gives a result.
 const FEWEST_BLOCKS: usize = 12;
-/// A block has texture if the mean difference of √luminance between neighbours is above this value.
+/// A block has texture if neighbouring pixels differ by more than this value in √luminance, on
+/// average.
 const TEXTURE: f32 = 0.01;
 /// The smallest sum of differences is distinct if the sums at all shifts more than two pixels away
 /// are larger by this factor.
 const DISTINCT: f32 = 1.5;
 
 /// Returns the motion along `axis` (0: columns, 1: rows) between two pictures `[row][col][rgb]` of
-/// `size` = [columns, rows]. `None` if the pictures have too little texture.
+/// `size` = [columns, rows]. `None` if the pictures are too small or have too little texture.
 pub(crate) fn motion(first: &[f32], second: &[f32], size: [usize; 2], axis: usize) -> Option<Motion> {
     let (length, lines) = (size[axis], size[1 - axis]);
     let first = Lines::new(first, size, axis);

@@ -29,7 +29,8 @@ pub struct GeometryFlags {
     /// Viewing distance of a perspective grid, millimetres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_mm: Option<f64>,
-    /// [horizontal, vertical] views to keep: evenly spaced, as wide as possible, around the centre.
+    /// [horizontal, vertical] views to keep: evenly spaced around the centre, as far apart as
+    /// possible.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub views: Option<[usize; 2]>,
     /// [columns, rows] of tiles of a quilt whose name does not contain them.

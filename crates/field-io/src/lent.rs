@@ -36,7 +36,7 @@ fn short_and_unaligned_files_are_not_lent() {
     let first = lumistack_files::length(&file).unwrap() - 24;
     assert!(lend(&file, first, 6).is_some() && lend(&file, first, 7).is_none());
     assert!((1..4).all(|by| lend(&file, first - by, 6).is_none()));
-    // NumPy's headers end at a multiple of 64 bytes, headers of other programs may not
+    // NumPy's headers end at a multiple of 64 bytes, but headers of other programs may not
     let mut bytes = std::fs::read(&path).unwrap();
     bytes.insert(first as usize - 1, b' ');
     bytes[8] += 1;
@@ -60,7 +60,7 @@ fn a_lent_file_can_be_replaced_and_removed() {
     crate::atomic::remove(&path).unwrap();
     assert!(!path.exists());
     assert_eq!((old.values(), new.values()), (&VALUES[..], &[7.0][..]));
-    // on Windows the mapped files are still there, with names that a later run removes
+    // on Windows the mapped files still exist, as temporary files that a later run removes
     assert!(count() == 0 || cfg!(windows) && count() <= 2);
     drop((old, new));
     for entry in std::fs::read_dir(folder.path()).unwrap() {

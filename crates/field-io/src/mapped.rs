@@ -1,5 +1,5 @@
-//! Arrays that may be larger than memory. Their values stay in the file, and the system loads a
-//! page of the file into memory when the page is read.
+//! Arrays that may be larger than memory. The values of such an array stay in its file, and the
+//! system loads a page of the file into memory when the page is read.
 
 #[cfg(target_pointer_width = "64")]
 use std::sync::Arc;

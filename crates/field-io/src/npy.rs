@@ -95,8 +95,8 @@ impl NpyFile {
     /// Opens an array and checks the file's length against its header.
     ///
     /// # Errors
-    /// If the header is malformed, the order is Fortran's, the values have another type, or the
-    /// file is too short.
+    /// If the header is malformed, the order is Fortran's, the type of the values is not supported,
+    /// or the file is too short.
     pub fn open(path: &Path) -> Result<Self, FieldError> {
         let mut file = BufReader::new(lumistack_files::open(path).map_err(FieldError::io(path, "read"))?);
         let file_length = lumistack_files::length(file.get_ref()).map_err(FieldError::io(path, "read"))?;
@@ -229,7 +229,7 @@ pub(crate) fn reserved(path: &Path, count: usize) -> Result<Vec<f32>, FieldError
 /// of brackets, and no overflow.
 fn read_header(path: &Path, file: &mut impl Read) -> Result<(NpyHeader, u64), FieldError> {
     let bad = |expected: &str, found: String| FieldError::malformed(path, "header", expected, found);
-    let short = |_| bad("a NumPy array (.npy)", "the file ends within it".into());
+    let short = |_| bad("a NumPy array (.npy)", "a file that ends within the header".into());
     let mut bytes = vec![0; 10];
     file.read_exact(&mut bytes).map_err(short)?;
     if !bytes.starts_with(b"\x93NUMPY") {
@@ -334,7 +334,7 @@ mod tests {
             (header("'<f4'", "False", "(5, 5)"), "expected 100 bytes, found 64"),
             (b"\x93NUMPY\x02\x00\xff\xff\xff\xff".to_vec(), "header: expected at most 65536 bytes"),
             (b"PK\x03\x04 not an array".to_vec(), "header: expected a NumPy array"),
-            (vec![], "the file ends within it"),
+            (vec![], "found a file that ends within the header"),
         ] {
             let error = read_bytes(&bytes).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");

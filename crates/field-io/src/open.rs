@@ -19,8 +19,8 @@ use crate::picture::{Picture, has_picture_extension};
 /// the Stanford archive, as in the HCI benchmark, or `RR_CC.png`.
 ///
 /// # Errors
-/// If the path is of another kind, a file is damaged, views differ in size, values are not finite,
-/// or the geometry is incomplete.
+/// If the path is of another kind, a file is damaged, views differ in size, or the geometry is
+/// incomplete. Also if values are not finite, or too large for half floats.
 pub fn open(
     path: &Path,
     flags: &GeometryFlags,

@@ -68,7 +68,8 @@ impl FieldWriter {
         Ok(())
     }
 
-    /// Returns the light field, once all views are written. `path` names it in errors.
+    /// Returns the light field, once all views are written. Errors name a light field in memory by
+    /// `path`, and a light field in a file by the file's folder.
     ///
     /// # Errors
     /// The errors of [`Paged::finish`].

@@ -6,12 +6,14 @@
 //! w_ij = length of [s_i − δs/2, s_i + δs/2] ∩ [s_j − Δs/2, s_j + Δs/2]
 //! ```
 //!
-//! δs is the [`angular_footprint`](lumistack_display::Display::angular_footprint) and Δs the step
-//! of the given views, per axis. A view represents its bin of slopes. Footprints of at most one bin
-//! have no effect, since radiance between the views is unknown. L is the given light field and L'
-//! the result. x is a pixel, and s_i and s_j are the slopes of views i and j. With more views the
-//! result approaches the result of the path tracer's `angular_filter = "display"`. For δs = nΔs, a
-//! plane at z with a grating of frequency ω keeps this fraction of its contrast:
+//! L is the given light field and L' the result. x is a pixel, and s_i and s_j are the slopes of
+//! views i and j. δs is the [`angular_footprint`](lumistack_display::Display::angular_footprint)
+//! and Δs the step of the given views, per axis. A view represents a bin of slopes of width Δs.
+//! Footprints of at most one bin have no effect, since radiance between the views is unknown.
+//!
+//! With more views the result approaches the result of the path tracer's `angular_filter =
+//! "display"`. For δs = nΔs, a plane at z with a grating of frequency ω keeps this fraction of its
+//! contrast:
 //!
 //! ```text
 //! sin(πω|z|nΔs)/(n sin(πω|z|Δs)) → sinc(ω z δs)

@@ -3,8 +3,8 @@
 //! A name may stand for anything: a device that never ends, a pipe without a writer, a file of
 //! terabytes, a secret in another folder. This crate opens only regular files. Before it reads a
 //! whole file, it compares the file's size with a limit. A file may contain names of other files. A
-//! [`Folder`] can refuse names that lead out of the folder of the file that contains them. Readers
-//! of input files use this crate.
+//! [`Folder`] can refuse names that lead out of the file's folder. Readers of input files use this
+//! crate.
 //!
 //! A web page has no file system. Files that were dropped on the page are held in memory (`hold`),
 //! and the same readers read them.

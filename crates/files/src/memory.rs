@@ -19,8 +19,8 @@ pub fn hold(files: impl IntoIterator<Item = (String, Vec<u8>)>) {
     FILES.set(files);
 }
 
-/// Returns the path without `.` and `..`. If the path leads out of all folders, the `..` that lead
-/// out of them stay.
+/// Returns the path without `.` and `..`. Only those `..` stay that lead above the path's first
+/// folder.
 pub(crate) fn plain(path: &Path) -> PathBuf {
     let mut plain = PathBuf::new();
     for part in path.components() {

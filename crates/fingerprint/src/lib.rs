@@ -24,8 +24,8 @@ const MANIFEST: &str = "Cargo.toml";
 /// Name of the file in a packaged crate that has the manifest as its author wrote it.
 const ORIGINAL_MANIFEST: &str = "Cargo.toml.orig";
 
-/// Sets `LUMISTACK_FINGERPRINT` for the crate whose build script calls this. The fingerprint
-/// contains `src`, the manifest, and the folders `more`, relative to the crate's folder.
+/// Sets `LUMISTACK_FINGERPRINT` for the crate whose build script calls this function. The
+/// fingerprint covers `src`, the manifest, and the folders `more`, relative to the crate's folder.
 ///
 /// # Panics
 /// If cargo does not run the build script, or the sources cannot be read: a crate without a

@@ -73,8 +73,8 @@ impl Depths {
         SeenDepth { rows: self.geometry.rows, cols: self.geometry.cols, z_mm }
     }
 
-    /// Returns true if a pixel of the finer geometry `of` shows a surface. The depth of the coarse
-    /// pixel at its centre decides.
+    /// Returns true if a pixel of the finer geometry `of` shows a surface: if the coarse pixel that
+    /// covers the pixel's centre has a depth.
     pub fn is_surface(&self, view: [usize; 2], row: usize, col: usize, of: &FieldGeometry) -> bool {
         let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to - 1);
         let (row, col) = (place(row, of.rows, self.geometry.rows), place(col, of.cols, self.geometry.cols));

@@ -27,7 +27,8 @@ const DARK: f64 = 0.02;
 /// Smallest fraction of the visible surfaces that the scene's own light must light, if only glowing
 /// objects give light.
 const LIT_BY_GLOW: f64 = 0.5;
-/// The same fraction if the scene has light sources. Their author may want a spot in a dark room.
+/// The same fraction if the scene has light sources. The scene's author may want a spot in a dark
+/// room.
 const LIT_BY_LAMPS: f64 = 0.05;
 /// Radiance of the background behind a scene in studio light: a dark neutral ground.
 const GROUND: f32 = 0.035;

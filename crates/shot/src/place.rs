@@ -1,25 +1,25 @@
 //! Places the display in the scene and fits the scene into the display's depth of field. The window
 //! moves along its normal. If that does not suffice, depth is compressed.
 //!
-//! The view from straight ahead stays the same. The window moves back by t, slopes are scaled by k,
-//! and the viewing distance is D. Then content at depth z appears at
+//! The view from straight ahead stays the same. Let the window move back by t, let k be the factor
+//! on the slopes, and D the viewing distance. Then content at depth z appears at
 //!
 //! ```text
 //! oblique:       z' = k (z + t)
 //! perspective:   z' with z'/(D − z') = k y/(D − y),   y = (z + t) D/(D + t)
 //! ```
 //!
-//! In perspective the eye stays in place, and the window grows by (D + t)/D to fill the eye's
-//! frustum. So the eye's distance in display space remains D.
+//! In perspective the eye stays in place, and the window grows by the factor (D + t)/D to fill the
+//! eye's frustum. So the eye's distance in display space remains D.
 //!
 //! The default, [`FitDepth::Auto`], has an effect only if the scene does not fit. With this
 //! default, the window stays in place if numbers or a focus distance determine its depth. Depth is
 //! then compressed about the window: content in the display plane remains there.
 //!
 //! Scaling the slopes is the same as moving all viewpoints closer together: every displacement
-//! between views shrinks by k. In oblique views the effect is an affine compression along the
-//! window's normal. In perspective views it is a projective compression, which keeps straight lines
-//! straight.
+//! between views shrinks by the factor k. In oblique views the effect is an affine compression
+//! along the window's normal. In perspective views it is a projective compression, which keeps
+//! straight lines straight.
 
 pub(crate) mod side;
 mod window;
@@ -142,7 +142,7 @@ pub fn place<S: Subject>(
         return Err(ShotError::job("window.fit_depth", expected, found).into());
     }
     // Fit the scene's depths, as seen from straight ahead, to the depth of field. Tracing the
-    // depths is slow, so `subject` caches them.
+    // depths is slow, so `subject` caches the fit.
     let projection = geometry.grid.projection;
     let of = format!("{window:?} {projection:?} {low} {high} {means:?} {}", job.depth_scale);
     let fit: Fit = subject.remembered("fit", &of, || {
@@ -167,7 +167,7 @@ pub fn place<S: Subject>(
         task.warn("window.fit_depth", message);
     } else if fit.left_out > MAY_LEAVE_OUT {
         let message = format!(
-            "the farthest {:.0} % of what is seen would flatten the rest, so no room is made for it, and it is blurred",
+            "the farthest {:.0} % of what is seen would flatten the rest, so it stays outside the depth of field and is blurred",
             100.0 * fit.left_out
         );
         task.warn("window.fit_depth", message);
@@ -182,8 +182,8 @@ pub fn place<S: Subject>(
 }
 
 /// Returns the z in front of the window up to which the display shows [`LEAST_DETAIL`] of its
-/// pixels' detail, mm. Returns `None` if the display shows this detail only on the display plane,
-/// or at every z.
+/// pixels' detail, mm. Returns `None` if the display shows this detail nowhere in front of the
+/// window, or at every z.
 fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
     let [_, far] = display.depths_shown(LEAST_DETAIL * 0.5 / pitch_mm)?;
     (far > 0.0 && far.is_finite()).then_some(far)
@@ -203,7 +203,7 @@ pub fn coarser(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> Fi
 struct Fit {
     moved_back_mm: f64,
     depth_scale: f64,
-    /// Fraction of the content, the farthest part, for which no room was made.
+    /// Fraction of the content, its farthest part, that compression left out.
     left_out: f64,
     /// Fraction of the content outside the depth of field after the fit.
     outside: f64,
@@ -225,10 +225,10 @@ struct Fitting<'a> {
 
 /// Finds the movement and the scale that bring most of the sorted `depths` into `range`.
 ///
-/// Compression makes room for the depths between two quantiles. If that would leave less than
-/// [`LEAST_SCALE`] of the parallax, as little as possible of the farthest content is left out. Up
-/// to [`MAY_LEAVE_OUT`] is also left out if the rest gains enough parallax. If nothing suffices, or
-/// the result shows no more than before, nothing changes.
+/// Compression brings the depths between two quantiles into the range. If that would leave less
+/// than [`LEAST_SCALE`] of the parallax, as little as possible of the farthest content is left out.
+/// Up to [`MAY_LEAVE_OUT`] is also left out if the rest gains enough parallax. If nothing suffices,
+/// or the range would contain no more of the scene than before, nothing changes.
 fn best_fit(depths: &[f64], range: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
     let stay = Fit { moved_back_mm: 0.0, depth_scale: scale, left_out: ENDS[0], outside: 0.0, is_refused: false };
     if depths.is_empty() {
@@ -435,8 +435,8 @@ mod tests {
                 for projection in [Projection::Oblique, PERSPECTIVE] {
                     let fit = best_fit(&depths, RANGE, projection, 1.0, means);
                     let name = format!("{backdrop} {means:?} {projection:?} {fit:?}");
-                    // Perspective compresses depth behind the window, so there a scale of a fifth
-                    // suffices for all content.
+                    // Perspective itself compresses depth behind the window, so a scale of a fifth
+                    // suffices for all content in perspective views.
                     if projection == Projection::Oblique {
                         assert!(fit.depth_scale > 0.7, "{name}");
                         assert!(fit.outside < backdrop + 0.03, "{name}");

@@ -19,7 +19,8 @@ pub(crate) fn warn_of_unused(scene: &Scene, job: &LightJob, task: Task<'_>) {
     }
 }
 
-/// Rotates the environment as the job says, both a file's environment and the studio light.
+/// Rotates the environment by the job's angle. The environment may come from a file or be the
+/// studio light.
 ///
 /// # Errors
 /// When the changed scene is not valid.

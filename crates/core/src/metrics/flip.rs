@@ -12,14 +12,14 @@
 //! ```
 //!
 //! Filters have their size in degrees of visual angle, so the error depends on the number of pixels
-//! per degree. Outside of the picture, filters read the outermost pixel. Every filter is separable.
-//! The filter of Cz is a sum of two Gaussians, which are two separate filters whose weights
-//! together sum to 1.
+//! per degree. Outside of the picture, filters read the outermost pixel. Filters are separable,
+//! except the filter of Cz: a sum of two Gaussians. The two Gaussians are applied separately, and
+//! their weights together sum to 1.
 //!
 //! Source: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference
 //! Evaluator for Alternating Images", High Performance Graphics 2020 (LDR-FLIP). Checked against
-//! the authors' tool. The tool reads sRGB-encoded pictures and decodes them first; here they come
-//! in linear light.
+//! the authors' tool. That tool reads sRGB-encoded pictures and decodes them first; this code
+//! receives linear light.
 
 use std::ops::Range;
 
@@ -194,8 +194,7 @@ struct Colours {
     rgb_from_opponent: [[f32; 3]; 3],
     /// Matrix from linear RGB to (X/X_n, Y/Y_n, Z/Z_n), relative to the white point.
     relative_from_rgb: [[f32; 3]; 3],
-    /// The largest colour distance, raised to `COLOUR_EXPONENT`. It is the distance of green and
-    /// blue.
+    /// The largest colour distance, that between green and blue, raised to `COLOUR_EXPONENT`.
     largest: f32,
 }
 

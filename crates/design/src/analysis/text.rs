@@ -41,7 +41,7 @@ impl Analysis {
         line(
             "Prefilter",
             format!(
-                "a pixel, and slopes over {footprint} (a view's bin is {:.4} × {:.4})",
+                "the mean over a pixel, and over {footprint} in slope (a view's bin is {:.4} × {:.4})",
                 self.zone.step[0], self.zone.step[1]
             ),
         );
@@ -166,7 +166,7 @@ fn closed(form: &Closed) -> String {
     format!("eq. {equation} ({assumes}): {differs}{because}")
 }
 
-/// Writes a number with its significant decimals only.
+/// Formats a number with at most two decimals; larger numbers have fewer.
 fn number(value: f64) -> String {
     let digits = match value.abs() {
         size if size >= 100.0 || size.fract() == 0.0 => 0,

@@ -117,7 +117,7 @@ fn files_that_an_index_names_are_regular_and_inside() {
 
 #[test]
 fn truncated_pictures_are_errors() {
-    // the last 4 bytes of a PNG are the checksum of an empty chunk, without which it can be read
+    // the last 4 bytes of a PNG are the checksum of an empty chunk; a PNG can be read without them
     for (name, idle) in [("q_qs2x1.png", 4), ("q_qs2x1.jpg", 0), ("q_qs2x1.webp", 0)] {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(name);
@@ -317,7 +317,7 @@ fn missing_geometry_names_the_flag() {
     for (flags, message) in [
         (
             GeometryFlags { views: Some([3, 1]), ..flags.clone() },
-            "--views: expected 1 × 1 to 2 × 1 views, which the light field has, found 3 × 1",
+            "--views: expected 1 × 1 to 2 × 1 views (the light field has no more), found 3 × 1",
         ),
         (GeometryFlags { views: Some([0, 1]), ..flags.clone() }, "--views: expected"),
         (GeometryFlags { resolution: Some([8, 3]), ..flags.clone() }, "--resolution: expected 1 × 1 to 4 × 3 pixels"),

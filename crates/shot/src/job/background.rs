@@ -14,7 +14,7 @@ pub enum Background {
     /// The environment that lights the scene, or black if there is none.
     #[default]
     Environment,
-    /// A linear RGB colour, 0..1, as the display shows it: neither exposure nor tone curve change
+    /// A linear RGB colour, 0..1, as the display shows it: neither exposure nor tone curve changes
     /// it.
     Colour([f32; 3]),
 }

@@ -47,7 +47,8 @@ pub struct LightJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tone {
-    /// `linear` where almost nothing is brighter than white, otherwise `khronos-neutral`.
+    /// `linear` if almost nothing is brighter than white, or if the scene has splats. Otherwise
+    /// `khronos-neutral`.
     #[default]
     Auto,
     /// Clips values above white.

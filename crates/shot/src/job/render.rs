@@ -62,7 +62,7 @@ pub struct RenderJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ZoneSamples {
     /// The number above which further paths would hardly improve the display's picture. It is
-    /// measured on small regions of the picture.
+    /// measured on small regions of the picture. If it is not measured, it is 800.
     #[default]
     Auto,
     /// A fixed number, 1 to 2²⁴.
@@ -70,8 +70,9 @@ pub enum ZoneSamples {
 }
 
 impl ZoneSamples {
-    /// Number of paths if the number is not measured. It is not measured for filters that compare
-    /// two halves of the paths, for views that Blender renders, and for estimates.
+    /// Number of paths if the number is not measured. It is not measured for a fixed number of
+    /// views, for filters that compare two halves of the paths, for views that Blender renders, and
+    /// for estimates.
     const UNMEASURED: u32 = 800;
     /// Largest allowed number of paths.
     const MOST: u32 = 1 << 24;
@@ -218,8 +219,8 @@ impl Denoise {
         ("oidn", Self::Oidn),
     ];
 
-    /// Returns whether a filter changes the views. [`Auto`](Self::Auto) stands for another value,
-    /// which the caller resolves first; `Auto` itself returns false.
+    /// Returns whether a filter changes the views. Callers first replace [`Auto`](Self::Auto) by
+    /// the filter that it stands for; the result for `Auto` is false.
     pub fn filters(self) -> bool {
         !matches!(self, Self::Auto | Self::Off)
     }
@@ -298,8 +299,8 @@ impl RenderJob {
         self.samples.unwrap_or(if self.denoise.takes_halves() { spread.max(2) } else { spread })
     }
 
-    /// Returns whether the number of paths is measured. The measurement relies on the noise of the
-    /// views, which filters that compare halves change too much.
+    /// Returns whether these settings allow a measurement of the number of paths. The measurement
+    /// relies on the noise of the views, which filters that compare halves change too much.
     pub fn samples_are_measured(&self) -> bool {
         self.samples.is_none() && self.zone_samples == ZoneSamples::Auto && !self.denoise.takes_halves()
     }

@@ -54,12 +54,11 @@ pub struct WindowJob {
 pub enum FitDepth {
     /// Changes nothing in three cases: in a sweep; if the scene fits; if the depth of field does
     /// not lie on both sides of the display. Otherwise acts as [`Compress`](Self::Compress), with
-    /// two differences.
-    /// The window stays if numbers or a focus distance of its camera place it. The depth scale
-    /// stays if the job sets it.
+    /// two differences. The window stays if numbers or a focus distance of its camera place it.
+    /// The depth scale stays if the job sets it.
     #[default]
     Auto,
-    /// Neither window nor depth change.
+    /// Neither window nor depth changes.
     Off,
     /// The window moves along its normal.
     Move,

@@ -1,8 +1,8 @@
 //! The window through which the display looks at a scene: given by numbers, by a camera, or framed
 //! on the visible scene.
 //!
-//! A camera without a focus distance has its window at the centre of the scene's bounds, if most of
-//! the visible content is there. Otherwise the window is at the distance
+//! A camera without a focus distance has its window at the centre of the scene's bounds, if the
+//! centre's distance is nearly d*. Otherwise the window is at the distance d*:
 //!
 //! ```text
 //! d* = Σ q / Σ q²,   q = 1/d
@@ -31,9 +31,9 @@ const MARGIN: f64 = 0.03;
 const COVERAGE: f64 = 0.26;
 /// Smallest width of a window, relative to the view of a camera that the job does not name.
 const CLOSEST: f64 = 0.58;
-/// Largest number of columns of the view from straight ahead that finds where the scene is visible.
+/// Largest number of columns of the coarse view from straight ahead that locates the visible scene.
 const PROBE_COLS: usize = 336;
-/// Number of columns of the camera's picture that finds the distances of the visible surfaces.
+/// Largest number of columns at which the camera's picture is traced for the distances of surfaces.
 const FOCUS_COLS: usize = 210;
 /// Fraction of the picture that the nearest surfaces must cover to have their full weight. Smaller
 /// things, such as a blade of grass in front of the lens, count as if they were farther away.
@@ -62,10 +62,12 @@ pub struct Found {
 
 /// Finds the window in the scene.
 ///
-/// Without a camera the scene is framed from the front, or from the side that `side::choose` finds.
-/// The frame then shrinks to the visible scene and holds all of it. If the job requests no camera
-/// and the file's camera has no focus, the camera's window shrinks about its centre. It shrinks at
-/// most until the scene covers about a quarter of the window, and never cuts off the scene.
+/// Without a camera the scene is framed from the direction `look_from` of the job, or else from the
+/// side that `side::choose` finds. The frame then shrinks to the visible scene.
+///
+/// If the job requests no camera and the file's camera has no focus, the camera's window shrinks
+/// about its centre. It shrinks at most until the scene covers about a quarter of the window, and
+/// never cuts off the scene.
 ///
 /// # Errors
 /// When the job names a camera that does not exist, or gives numbers that make no rectangle. Also
@@ -157,11 +159,11 @@ struct Seen {
 }
 
 impl Seen {
-    /// Measures distances, which need not be sorted. `None` without any.
+    /// Measures distances, which need not be sorted. `None` if there are none.
     fn of(mut distances: Vec<f64>) -> Option<Self> {
         distances.sort_by(f64::total_cmp);
         let &farthest = distances.last()?;
-        // the smallest things count as if they were not nearer than larger things
+        // surfaces nearer than `nearest` count as if they were at this distance
         let nearest = distances[(STRAY * (distances.len() - 1) as f64).round() as usize];
         let disparities = distances.iter().map(|distance| 1.0 / distance.max(nearest));
         let [sum, squares] = disparities.fold([0.0; 2], |[sum, squares], q| [sum + q, squares + q * q]);
