@@ -314,7 +314,8 @@ fn photographs_correct_the_pose_of_panels() {
         println!("{found}");
         assert!(found["moved_mm"].as_f64().unwrap() < ERROR_PX * PITCH_MM, "{found}");
     }
-    // now the outputs show the spots at the corrected positions, which screenshots measure
+    // now the outputs show the spots at the corrected positions; screenshots measure these
+    // positions
     let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
     show.event("swapped");
     for (n, (name, ..)) in OUTPUTS.iter().enumerate() {

@@ -46,7 +46,7 @@ impl Panel {
 }
 
 /// Returns the point on the rear panel from which a ray comes. The ray leaves the lens array at the
-/// point `place_mm` with the slope `slope`. `None` if the point is not on the array.
+/// point `place_mm` with the slope `slope`. `None` if `place_mm` is not on the array.
 ///
 /// The ray is followed backwards: to the lens plane, through a thin lens of this focal length, and
 /// to the focal plane of the lens.

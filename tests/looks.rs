@@ -46,7 +46,7 @@ fn the_tone_curve_is_reported_and_another_one_renders_nothing_again() {
     assert!(fail(lumistack().args(["run", "nothing.gltf"])).contains("nothing.gltf"));
 }
 
-/// Returns the modification time of the newest file in a folder and its subfolders.
+/// Returns the modification time of the newest `.exr` file in a folder and its subfolders.
 fn newest(folder: &Path) -> std::time::SystemTime {
     let mut last = std::time::SystemTime::UNIX_EPOCH;
     for entry in std::fs::read_dir(folder).unwrap() {

@@ -165,16 +165,17 @@ fn a_far_backdrop_does_not_draw_the_window_away() {
         let done = done.rfind(|event| event["event"] == "done").unwrap();
         (said, number(&info, "depth_scale"), number(&done["depth"], "inside"))
     };
-    // The card covers about a fifth of the picture. A window at the backdrop would show all of it
-    // sharply, but the card as a speck.
+    // The card covers about a fifth of the picture. A window at the backdrop would show the
+    // backdrop sharply, but the card as a speck.
     let (said, scale, inside) = depth(&with(396.0, None));
     assert!(scale == 1.0 && (0.15..0.3).contains(&inside), "{scale} {inside} {said}");
     assert!(said.contains("up to 400 scene units") && said.contains("Focus on Object"), "{said}");
-    // a stated focus is not doubted, and no compression shows the backdrop
+    // if the file states a focus distance, the message suggests no other focus; the backdrop still
+    // does not fit
     let (said, scale, inside) = depth(&with(396.0, Some(4.0)));
     assert!(scale == 1.0 && (0.15..0.3).contains(&inside), "{scale} {inside} {said}");
     assert!(said.contains("it stays outside the depth of field") && !said.contains("Focus on Object"), "{said}");
-    // a backdrop near the card is not far
+    // a backdrop near the card causes neither message
     let (said, ..) = depth(&with(2.0, None));
     assert!(!said.contains("Focus on Object") && !said.contains("it stays outside the depth of field"), "{said}");
 }

@@ -5,8 +5,9 @@
 set -eu
 list=$1
 tab=$(printf '\t')
-# Wine's drive Z: is the root folder of this system. The repository is on it, and so are the
-# temporary files, since tests name files without a drive. The name is that of a user's folder.
+# Wine's drive Z: is the root folder of this system. The repository is on this drive, and so are the
+# temporary files, since tests name files without a drive. The name of the folder has a space and
+# letters that are not ASCII, as names of users may have.
 temporary='/tmp/Jürgen 日本'
 rm -rf "$temporary"
 mkdir -p "$temporary"

@@ -14,7 +14,8 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-/// Runs in a second process of this program, when a test interrupts a program or reads its screen.
+/// A second process of this program runs only this test, when another test interrupts a program or
+/// reads its screen.
 #[cfg(windows)]
 #[test]
 fn helps() {

@@ -64,8 +64,8 @@ impl Session {
 }
 
 /// Returns true if `program`, which a session needs, is installed, and if the variable
-/// `LUMISTACK_SESSIONS` permits sessions. Sessions disturb each other. So only `cargo xtask panels`
-/// sets the variable; it runs the tests one after another.
+/// `LUMISTACK_SESSIONS` permits sessions. Sessions disturb each other. So only the step `panels` of
+/// `cargo xtask` sets the variable; this step runs the tests one after another.
 fn has(program: &str) -> bool {
     if std::env::var_os("LUMISTACK_SESSIONS").is_none() {
         lumistack_testkit::skip::runs_in("panels");

@@ -2,14 +2,14 @@
 # Runs the first job of the README with the program for Windows in Wine, in a folder with a
 # non-ASCII name and with few pixels. Compares the result's quality with the quality that the
 # program for Linux gives. Then runs the job in a folder with a long path, and two runs in one
-# folder, and uses the wheel in Python for Windows. In a Debian that is made for this test, the name
-# of the user is not ASCII, so neither are the paths of its folders. Rust's standard library needs
-# bcryptprimitives.dll, which Wine 8 and older do not have.
+# folder, and uses the wheel in Python for Windows. In a Debian that is made for this test, the
+# user's name is not ASCII, so the paths of the user's folders are not ASCII either. Rust's standard
+# library needs bcryptprimitives.dll, which Wine 8 and older do not have.
 . "$(dirname "$0")/common.sh"
 packages wine wine64 unzip xvfb python3-venv
 zip=$(one "lumistack-*-x86_64-pc-windows-gnu.zip")
 wheel=$(one "lumistack-*-abi3-win_amd64.whl")
-# Wine's user has the name of the first user of this number
+# Wine takes the name of its user from the first line of /etc/passwd with this user's number
 user=$(id -un)
 if [ -n "${CLEAN:-}" ]; then
     user=Jürgen

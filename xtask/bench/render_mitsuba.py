@@ -118,6 +118,6 @@ def render(sampler, samples, seed, view):
 
 
 for name in samplers:
-    # this render compiles the kernel, so that later times do not include it
+    # this render compiles the kernel, so that later times do not include the compilation
     render(name, 4, 1, 0)
 view.serve(f"Mitsuba {mi.__version__} llvm_ad_rgb", list(samplers), render)

@@ -14,9 +14,9 @@ const PIECE = 4096;
 const later = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 /**
-* Serves a folder. `connection` is {bytesPerS, latencyMs}: all responses together have this rate,
-* and each begins after the latency. Without it the server sends at once. `state.bytes` counts the
-* sent bytes, with the lengths of files, as they would be on a server that compresses nothing.
+* Serves a folder. `state.connection` is {bytesPerS, latencyMs}: all responses together have this
+* rate, and each begins after the latency. Without a connection the server sends at once.
+* `state.bytes` counts the sent bytes of files; the server compresses nothing.
 */
 export async function serve(folder) {
   const state = { connection: undefined, bytes: 0 };

@@ -11,7 +11,7 @@ The script answers requests. A request is one line of text with fields separated
     render SAMPLER SAMPLES SEED VIEW FILE    writes the picture of camera VIEW to FILE as linear float32 [row][col][rgb]; answers {"seconds": time for
                                              the paths, "cpu_s": processor time of all threads for the paths}
 
-The lens of a camera is shifted by `shift`, [right, up] in widths of the picture: the picture shows what lies that far from the middle.
+The lens of a camera is shifted by `shift`, [right, up] in widths of the picture. So the middle of the picture shows content this far from the camera's axis.
 
 All renderers trace paths of 4 bounces after the first hit, without Russian roulette or clamping, and use a box filter.
 """

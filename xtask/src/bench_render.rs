@@ -84,8 +84,8 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
 /// The third has the views of a quilt.
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
-/// Samples per pixel of the converged pictures, with whose means the means of the views are
-/// compared.
+/// Samples per pixel of the converged pictures. The means of the views are compared with the means
+/// of these pictures.
 const CONVERGED: &str = "4096";
 
 /// Renders light fields view by view, and with light that all views share. The scenes have diffuse

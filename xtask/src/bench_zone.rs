@@ -233,8 +233,8 @@ fn cpu_of_children() -> f64 {
     /// Clock ticks per second, which Linux fixes for programs.
     const PER_SECOND: f64 = 100.0;
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // The line has the program's name in parentheses, which may contain any character. cutime and
-    // cstime are the words with the indices 13 and 14 after the name.
+    // The program's name is in parentheses, and may contain any character. cutime and cstime are
+    // the words with the indices 13 and 14 after the name.
     let behind = stat.rsplit(')').next().unwrap_or_default();
     let ticks = |word: usize| behind.split_whitespace().nth(word).and_then(|text| text.parse::<f64>().ok());
     ticks(13).zip(ticks(14)).map_or(f64::NAN, |(user, system)| (user + system) / PER_SECOND)

@@ -98,8 +98,8 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
             )
         },
     )?;
-    // Browsers give up a page that other steps delay for too long. So tests that failed run again,
-    // when nothing delays them.
+    // Browsers give up a page that other steps delay for too long. So if the step `web` has failed,
+    // it runs again while no other step runs.
     if let Err(error) = web {
         println!("\n{error}; the tests of the page run again, alone");
         steps.step("web, alone", web::check)?;

@@ -43,7 +43,7 @@ Every part contains the licences of all dependencies. SHA256SUMS has the checksu
 /// wheels that it contains.
 const PARTS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "sbom"];
 
-/// The parts that need the files of all machines.
+/// The parts that cover all machines of a release. `--downloaded` can make only these parts.
 const DOWNLOADED: [&str; 2] = ["blender", "sbom"];
 
 /// Makes the parts that the arguments select; `None` if an argument is wrong.
@@ -165,7 +165,7 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> Outcome {
     Ok(())
 }
 
-/// Returns the files of a folder whose names have an ending, sorted by name.
+/// Returns the files of a folder whose names end with `ending`, sorted by name.
 fn files_of(folder: &Path, ending: &str) -> Outcome<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).filter(|path| path.is_file()).collect();

@@ -41,8 +41,8 @@ const TARGETS: [Target; 11] = [
     Target { name: "calibration", own: &[], assets: &[], extensions: &[] },
 ];
 
-/// Fuzzes every target, or only the target `only`, for `minutes` each. After all targets it reports
-/// inputs that break a reader as an error.
+/// Fuzzes every target, or only the target `only`, for `minutes` each. If inputs break a reader,
+/// returns an error after all targets.
 pub fn run(minutes: f64, only: Option<&str>) -> Outcome {
     let targets: Vec<&Target> = TARGETS.iter().filter(|target| only.is_none_or(|only| target.name == only)).collect();
     if targets.is_empty() {

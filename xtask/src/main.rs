@@ -36,7 +36,7 @@ cargo xtask <task>
 
   ci [--full]   format, lints, docs, layer check, wasm32 check, tests, end-to-end cases;
                 --full adds the slow tests; with CI=true a check that is skipped is a failure, here and in every other task
-  layers        only the checks of layers and of forbidden dependencies
+  layers        only the checks of dependencies, and of cycles of files
   words [--all] banned words, long sentences and wide comments; --all also reports the folders that are exceptions
   deny          licences, bans, sources and, where their database can be fetched, advisories of all dependencies; installs cargo-deny
   machines      compare the vector kernels of ARM (under emulation) and WebAssembly (in Node.js) with their oracles

@@ -33,7 +33,7 @@ const TESTED: [&str; 15] = [
 ];
 
 /// Programs of tests that run in Wine, in addition to the tests in the sources of [`TESTED`]. Each
-/// has the names of its tests that make sense there; an empty list stands for all tests.
+/// has the names of its tests that make sense in Wine; an empty list stands for all tests.
 const IN_WINE: [(&str, &[&str]); 4] = [
     ("field_io", &[]),
     ("streaming", &[]),
@@ -51,7 +51,7 @@ const IN_WINE: [(&str, &[&str]); 4] = [
 ];
 
 /// Tests that Wine or mingw cannot pass. mingw's `fmaf` rounds twice (a quarter of its results
-/// differ from those of other systems), so kernels with vectors differ from plain numbers.
+/// differ from those of other systems), so kernels with vectors have other results than plain code.
 const NOT_IN_WINE: [(&str, &[&str]); 2] = [
     (
         "lumistack_pathtracer",

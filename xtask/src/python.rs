@@ -103,9 +103,9 @@ pub fn build(python: &Path) -> Outcome<PathBuf> {
     only_file(&folder)
 }
 
-/// Packs a wheel, and returns its path. The module is the one that the workspace's tests compile:
-/// maturin would compile it again with other features. maturin provides all other files of the
-/// wheel.
+/// Packs a wheel, and returns its path. The module is the one that the workspace's tests compile,
+/// since maturin would compile it again with other features. maturin writes only the folder
+/// `.dist-info`.
 pub fn pack(python: &Path) -> Outcome<PathBuf> {
     tools::build_everything()?;
     let (info, folder) = (empty("target/wheels/info")?, empty("target/wheels/dev")?);

@@ -2,7 +2,7 @@
 //! Python that Debian has. With this machine's Python all tests run. With the other two only the
 //! tests run that depend on the versions of Python and NumPy.
 //!
-//! CI leaves the newest Python out, since that changes from day to day.
+//! CI leaves the newest Python out, since it changes from day to day.
 
 use std::path::{Path, PathBuf};
 

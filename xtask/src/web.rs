@@ -385,7 +385,7 @@ fn module_hash() -> Outcome<String> {
     let manifest = fs::read_to_string(root().join("Cargo.toml")).map_err(|error| format!("Cargo.toml: {error}"))?;
     let profile = manifest.find("[profile.web]").ok_or("Cargo.toml: expected [profile.web], found none")?;
     hash.update(&manifest.as_bytes()[profile..]);
-    // hash names, versions and checksums of dependencies, as cargo prints them
+    // hash the names and versions of the dependencies, as cargo prints them
     let mut crates = Vec::new();
     for Module { package, features, .. } in &MODULES {
         let tree = ["tree", "--package", package, "--target", WASM, "--edges", "normal,build", "--prefix", "none"];

@@ -29,8 +29,8 @@ pub struct Program {
     pub words: Vec<&'static str>,
 }
 
-/// Runs test programs in Wine, in a Debian stable that has Wine 9 or newer. The repository is there
-/// at the same path, since tests contain the paths of their packages.
+/// Runs test programs in Wine, in a Debian stable that has Wine 9 or newer. In this Debian the
+/// repository has the same path, since tests contain the paths of their packages.
 pub fn run_all(programs: &[Program]) -> Outcome {
     let machine = debian::Copy::kept("debian-wine", |copy| {
         let install = "apt-get update -qq && \

@@ -126,7 +126,8 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
         displays.iter().zip(&scenes).map(|(display, scene)| Analysis::of(display, scene.clone(), reach_mm)).collect()
     };
     let alone = analyzed(args.reach_mm);
-    // Sample all displays up to the largest depth that one of them needs, since plots compare them.
+    // Sample all displays up to the same depth, the largest that any of them needs. The plots show
+    // the displays together.
     let reach_mm = alone.iter().map(Analysis::reach_mm).fold(0.0, f64::max);
     let all = if alone.len() > 1 { analyzed(Some(reach_mm)) } else { alone };
     let mut files = match &args.output {

@@ -75,7 +75,7 @@ impl Console {
         }
         let state = Arc::<Mutex<Option<Stage>>>::default();
         let watched = Arc::downgrade(&state);
-        // A stage reports nothing during a long step, so this thread reports for it.
+        // A stage reports nothing during a long step, so this thread reports for the stage.
         std::thread::spawn(move || {
             while let Some(state) = watched.upgrade() {
                 if let Some(stage) = lock(&state).as_mut() {

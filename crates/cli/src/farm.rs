@@ -360,7 +360,7 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
 }
 
 /// Ends the process when standard input ends, since the worker that started this process is then
-/// gone. This is safe at any time, since files appear only when they are complete.
+/// gone. The process may end at any time, since files appear only when they are complete.
 fn end_with_input() {
     std::thread::spawn(|| {
         let mut rest = [0; 64];

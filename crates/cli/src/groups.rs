@@ -51,10 +51,10 @@ pub(crate) struct RenderArgs {
     /// Number of paths per pixel of each view. This option cannot be combined with --zone-samples
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
-    /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
-    /// with the file's own engine and settings. With auto, Blender renders .blend scenes with
-    /// content that lumistack does not support (docs/BLENDER.md lists exceptions), and lumistack
-    /// renders all other scenes
+    /// Program that renders the views: lumistack, blender or auto. Blender renders only .blend
+    /// scenes, with the file's own engine and settings. With auto, Blender renders a .blend scene
+    /// if lumistack cannot show all of its content. Otherwise lumistack renders. docs/BLENDER.md
+    /// lists cases in which lumistack renders such a scene nevertheless, without this content
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
     /// Largest number of bounces of a path; the first hit counts as a bounce. With 0 only the

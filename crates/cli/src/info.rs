@@ -213,9 +213,8 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let job = match Job::load(path) {
         Ok(job) => job,
         Err(job_error) => {
-            // The file is no valid job. If it is no valid display either, a file with [[layers]] is
-            // regarded as a display, and any other file as a job. The error for this kind is
-            // reported.
+            // The file is no valid job, so try to read it as a display. If this fails too, return
+            // one of the two errors: the display's if the file has [[layers]], otherwise the job's.
             return match presets::load_file(path) {
                 Ok(found) => Ok(display(&found)),
                 Err(display_error) => {

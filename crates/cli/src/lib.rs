@@ -43,11 +43,12 @@ pub use lumistack_pipeline::{Launcher, plugin_child};
 /// True in a build with the feature `panels`, which can open windows.
 pub const HAS_PANELS: bool = cfg!(feature = "panels");
 
-/// First argument of a process that runs the plugin of a shared library for another process.
+/// First argument of a child process that runs a plugin of a shared library.
 pub const PLUGIN_CHILD: &str = "__plugin";
 
 /// Runs a command line and returns its exit code. The first word is the program's name. Results go
-/// to standard output, messages to standard error. When `cancel` is set, the command stops cleanly.
+/// to standard output. Errors, and without `--json` also progress and warnings, go to standard
+/// error. When `cancel` is set, the command stops cleanly.
 pub fn run(words: &[OsString], cancel: &Cancel) -> u8 {
     program::remember(words.first().map(OsString::as_os_str));
     let matches = args::Args::command().bin_name(program::name()).try_get_matches_from(words);

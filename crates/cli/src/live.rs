@@ -157,7 +157,8 @@ fn is_light_field(path: &Path) -> bool {
 pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     args.check()?;
     let begun = SystemTime::now();
-    // Prepare job, run folder, page and tracker. All errors of the start are found here.
+    // Prepare job, run folder, page and tracker. Their errors end the command before a thread
+    // starts.
     let in_input = |error| in_place(error, &args.input);
     let mut job = args.job().map_err(in_input)?;
     let times = if args.times { LiveFields::times_of(&job).map_err(in_input)? } else { Vec::new() };
@@ -173,7 +174,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
         PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
     })?;
     let socket = args.opentrack.map(open_socket).transpose()?;
-    // no program can change the light fields of a video, so no socket is opened for it
+    // no program may change the light fields of a video, so a video has no `Door`
     let door = (!args.times).then(|| Door::open(&folder.cache())).transpose()?;
 
     let title = job.name.clone();
@@ -281,8 +282,9 @@ fn serve_page(
     serve(server, Site { root: feed.root(), live: Some(feed) }, || (!shared.is_stopped()).then(String::new));
 }
 
-/// Watches the files of the job, and lets the renderer read them again when they have changed. The
-/// job file was read after `begun`.
+/// Watches the job file and the files of the current light field. A changed job file replaces the
+/// job. Without `--times`, a change of another file makes the renderer read the light field's files
+/// again. The job file was read after `begun`.
 fn watch_files(args: &Live, begun: SystemTime, shared: &Shared, task: Task<'_>) {
     let mut watched = Watched::default();
     let mut of_job = Watched::default();

@@ -146,7 +146,8 @@ fn writers(registry: &Registry) -> impl Iterator<Item = (&str, &str)> {
 }
 
 /// Returns a path as a job file in `folder` must name it: relative to the folder if the file is
-/// inside, otherwise absolute.
+/// inside, otherwise absolute. An empty `folder` is the working folder, so the path does not
+/// change.
 fn seen_from(folder: &Path, path: &Path) -> String {
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let seen = match (folder.as_os_str().is_empty(), absolute(path).strip_prefix(absolute(folder))) {

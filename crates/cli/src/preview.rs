@@ -83,8 +83,8 @@ fn announced(args: &Preview, site: &Path, json: bool, task: Task<'_>) -> Result<
 }
 
 /// Finds the preview to serve for a folder. It is the folder itself, or the first preview among a
-/// run's outputs. For a run without previews, a preview must be written. A sequence is shown by its
-/// first time step, since the page shows a still.
+/// run's outputs. For a run without previews, [`Source::refresh`] writes one. A sequence is shown
+/// by its first time step, since the page shows a still.
 fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join(PREVIEW_JSON).is_file() {
         return Ok(Source { site: dir.to_owned(), run: None, seen: Mutex::default() });
@@ -102,7 +102,7 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join("layers/stack.json").is_file() {
         return Ok(Source { site: dir.join("preview"), run: Some(dir.to_owned()), seen: Mutex::default() });
     }
-    // The first time step of a sequence may have a preview, or a preview must be written for it.
+    // The folder may be a sequence, which is shown by its first time step.
     let times = times_of(dir);
     if let Some(first) = times.first() {
         let source = source_of(first, task)?;

@@ -1,5 +1,5 @@
-//! The name under which the command was started. Hints and examples contain this name, so that the
-//! user can copy them: `lumistack`, `cargo lumistack` or `python -m lumistack`.
+//! The name under which the command was started, such as `lumistack`, `python -m lumistack` or
+//! `cargo lumistack`. Hints and examples contain this name, so that the user can copy them.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};

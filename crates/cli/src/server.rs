@@ -86,7 +86,7 @@ pub(crate) trait Feed: Sync {
     /// Returns the script that requests states.
     fn script(&self) -> &'static str;
     /// Waits for a state or message that is newer than those in the query, or for a timeout.
-    /// Returns the response, or `None` if there is none by then.
+    /// Returns the response, or `None` if nothing new came.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
     /// Returns the secret that a query of [`look`](Self::look) must contain. `None` if pages may
     /// not move a viewer.

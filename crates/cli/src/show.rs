@@ -239,7 +239,7 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
     Ok(params)
 }
 
-/// Lists the outputs that could be driven, or returns why there are none.
+/// Lists the outputs of the session, or returns the reason why they cannot be listed.
 pub(crate) fn outputs() -> Result<Vec<String>, String> {
     Ok(window::outputs().map_err(|error| error.to_string())?.iter().map(|output| describe(output, false)).collect())
 }

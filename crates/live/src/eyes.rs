@@ -51,7 +51,7 @@ pub struct EyeViews {
     weights: Weights,
 }
 
-/// The error of a target that cannot be seen from viewers.
+/// The rays of a target cannot be computed.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RaysError {
     /// Weights cannot be computed.

@@ -80,7 +80,7 @@ impl Planes {
     }
 
     /// Computes the motion from these planes to later planes of the same display. `None` if nothing
-    /// moves, or if the displays differ.
+    /// moves, or if the planes have different sizes.
     pub fn flows_to(&self, later: &Self) -> Option<Vec<Flow>> {
         let sizes = |planes: &Self| planes.0.iter().map(|plane| [plane.rows, plane.cols]).collect::<Vec<_>>();
         if sizes(self) != sizes(later) {

@@ -27,8 +27,8 @@ pub enum Due {
 }
 
 impl Player {
-    /// Plays `count` time steps at `rate_hz` > 0. A time step is shown at most `most_late`
-    /// intervals after it was due.
+    /// Plays `count` time steps at `rate_hz` > 0. If more than `most_late` later time steps are due
+    /// already, playback skips to the newest of them.
     pub fn new(count: usize, rate_hz: f64, most_late: usize) -> Self {
         Self { count, rate_hz, most_late, next: 0, begun: None, dropped: 0 }
     }

@@ -14,8 +14,8 @@ const CURVE_POINTS: usize = 241;
 /// Fraction of the depths at either end, and of the disparities at the upper end, that histograms
 /// omit.
 const STRAY: f64 = 0.005;
-/// The report gives advice if a smaller fraction of hits than this is in the depth of field. Then
-/// the display does not suit the scene, or the window is misplaced.
+/// Smallest fraction of hits in the depth of field for which the report gives no advice. With a
+/// smaller fraction, the display does not suit the scene, or the window is misplaced.
 const FEW: f64 = 0.75;
 
 /// Depth statistics of a scene on a display. Fractions are fractions of the rays with a hit.
@@ -167,7 +167,7 @@ impl DepthBudget {
             )
         } else {
             format!(
-                "{few}. --fit-depth moves the window to where most of the scene fits, --fit-depth=compress also compresses its depth"
+                "{few}. --fit-depth moves the window to where most of the scene fits. --fit-depth=compress also compresses the scene's depth"
             )
         })
     }

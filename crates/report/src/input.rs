@@ -128,8 +128,8 @@ pub struct ReportInput<'a> {
     pub target: &'a LightField,
     /// Weights of the target's rays.
     pub weights: &'a Weights,
-    /// Held-out views, usually at [`lumistack_display::ViewGrid::in_between`]. Without them, views
-    /// between the target's views are only simulated.
+    /// Held-out views, usually at [`lumistack_display::ViewGrid::in_between`]. Without them and
+    /// without `zone`, views between the target's views are only simulated.
     pub held_out: Option<&'a LightField>,
     /// Views outside of the target's outermost views, usually at
     /// [`lumistack_display::ViewGrid::outside`]. Without them, views at these slopes are only

@@ -2,8 +2,8 @@
 //! file.
 //!
 //! [`build`] simulates the target views (at most 7 along an axis) with the display's forward model,
-//! and returns two texts. It writes no files, reads no clock and makes no network request.
-//! `report.html` is one file: pictures are data URIs, style and script are inline.
+//! and returns the contents of two files. It writes no files, reads no clock and makes no network
+//! request. `report.html` is one file: pictures are data URIs, style and script are inline.
 //!
 //! ```text
 //! Display + LayerStack + LightField ─▶ measure  PSNR, SSIM, FLIP, pictures ─▶ json ─▶ report.json
@@ -88,8 +88,8 @@ pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// Simulates the display and makes the report.
 ///
-/// # Errors
-/// If stack or weights do not match display and target, or the task is cancelled.
+/// # Errors If stack or weights do not match display and target, if a picture or a plot cannot be
+/// made, or if the task is cancelled.
 pub fn build(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     input.stack.check(input.display)?;
     input.weights.check(input.target.geometry())?;

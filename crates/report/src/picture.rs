@@ -44,8 +44,8 @@ pub(crate) enum Encoding {
 /// At this JPEG quality, block artefacts are far smaller than the errors of a display.
 const JPEG_QUALITY: u8 = 90;
 
-/// A group of pictures with at most this many pixels in total is encoded without loss. Noise
-/// compresses worst: a group of such pictures takes 4 MB of the report's text.
+/// A group of pictures with at most this many pixels in total is encoded without loss. Pictures of
+/// noise compress worst: a group of this size takes 4 MB of the report's text.
 const LOSSLESS_PIXELS: usize = 1_000_000;
 
 impl Encoding {

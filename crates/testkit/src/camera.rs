@@ -2,8 +2,9 @@
 //! vignetting and noise.
 //!
 //! The model has only rays and planes. It has no homography, and shares no code with the
-//! calibration that reads the photographs. Cargo optimizes this crate, but not the program of the
-//! end-to-end tests, in which the model would take most of a test's time.
+//! calibration that reads the photographs. The model is in this crate, since Cargo optimizes the
+//! crate. In the program of the end-to-end tests, which is not optimized, the model would take most
+//! of a test's time.
 
 use image::{GrayImage, Luma};
 

@@ -2,7 +2,7 @@
 //!
 //! Windows signals all programs of a console, and a program can only signal its own console. So a
 //! program that will be interrupted gets its own console, without a window. Then a second process
-//! of the test's program joins this console, and signals the first program. The second process runs
+//! of the test's program joins this console, and signals the program in it. The second process runs
 //! only the test `common::helps`, which calls `help`.
 
 use std::process::{Child, Command};
@@ -106,7 +106,7 @@ mod windows {
     fn send_ctrl_c(process: u32) {
         // SAFETY: none of these functions has preconditions; `stay` lives as long as the process
         unsafe {
-            // a process without a console has none to leave
+            // this call fails if the process has no console, which does no harm
             FreeConsole();
             done(AttachConsole(process));
             done(SetConsoleCtrlHandler(Some(stay), 1));

@@ -202,8 +202,8 @@ const FREE_THREADED: &str = "python3.14t";
 
 /// Builds the wheels for a target: one for all versions of Python from 3.11 on, and one for
 /// [`FREE_THREADED`]. Returns the path of the first wheel. For Linux maturin knows the properties
-/// of the free-threaded Python. For other systems maturin needs its program; without the program,
-/// only the first wheel is built.
+/// of the free-threaded Python. For other systems maturin needs the program of this Python; without
+/// the program, only the first wheel is built.
 pub fn wheels(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
     let python = builders()?;
     let stable = wheel(target, &python, &python, folder, licences)?;

@@ -1,5 +1,5 @@
-//! Collects the files of an installation in addition to the program: manual pages, completions,
-//! documents, schemas and the first scene.
+//! Collects the files that an installation has in addition to the program: manual pages,
+//! completions, documents, schemas and the first scene.
 
 use std::path::{Path, PathBuf};
 

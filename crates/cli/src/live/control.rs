@@ -23,7 +23,8 @@ enum Command {
     StopAtEnd,
 }
 
-/// Executes commands until standard input ends. Wrong commands are reported and change nothing.
+/// Executes commands until standard input ends or the display stops. Wrong commands are reported
+/// and change nothing.
 pub(super) fn read_commands(lines: impl BufRead, requests: &Requests, json: bool) {
     follow_lines(lines, requests, |error| match json {
         true => say!("{}", json!({"event": "refused", "message": error})),
@@ -32,7 +33,8 @@ pub(super) fn read_commands(lines: impl BufRead, requests: &Requests, json: bool
     requests.end_of_input();
 }
 
-/// Executes commands until the lines end. Passes the errors of wrong commands to `refuse`.
+/// Executes commands until the lines end or the display stops. Passes the errors of wrong commands
+/// to `refuse`.
 pub(super) fn follow_lines(mut lines: impl BufRead, requests: &Requests, refuse: impl Fn(String)) {
     let mut line = Vec::new();
     while !requests.is_stopped() {
@@ -59,7 +61,7 @@ pub(super) fn follow_lines(mut lines: impl BufRead, requests: &Requests, refuse:
 }
 
 fn carry_out(line: &str, requests: &Requests) -> Result<(), String> {
-    // Parse the whole line first, so that a wrong line changes nothing.
+    // Parse the whole line first, so that a line which cannot be parsed changes nothing.
     for command in commands_of(line)? {
         match command {
             Command::Set(keys) => requests.set(&keys).map_err(|error| error.to_string())?,

@@ -134,10 +134,10 @@ impl Door {
         let token = random_word()?;
         let write = || {
             let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
-            // calls of `accept` must not block, so that the thread notices the end
+            // calls of `accept` must not block, so that the thread notices when the display stops
             listener.set_nonblocking(true)?;
             let port = listener.local_addr()?.port();
-            // only this user can read temporary files
+            // no other user can read a temporary file
             let mut file = tempfile::NamedTempFile::new_in(cache)?;
             writeln!(file, "{}", json!({"port": port, "token": token}))?;
             file.persist(&path).map_err(|error| error.error)?;
@@ -161,7 +161,7 @@ impl Door {
     /// Attaches the program if its first line has the token and no other program is attached.
     /// Otherwise sends the program one message.
     fn greet(&self, program: &TcpStream, requests: &Arc<Requests>, events: &Arc<Events>) -> io::Result<()> {
-        // on some systems, a connection inherits this setting from the listening socket
+        // on some systems, a connection inherits the non-blocking mode of the listening socket
         program.set_nonblocking(false)?;
         program.set_write_timeout(Some(WRITE_TIME))?;
         program.set_nodelay(true)?;
@@ -202,7 +202,7 @@ fn first_line(mut program: &TcpStream) -> io::Result<(Vec<u8>, Vec<u8>)> {
     let deadline = now() + FIRST_TIME;
     let (mut line, mut part) = (Vec::new(), [0; FIRST]);
     loop {
-        // a timeout of 0 is an error
+        // after the deadline the timeout is 0, which is an error and ends this function
         program.set_read_timeout(Some(deadline.saturating_sub(now())))?;
         let count = program.read(&mut part)?;
         line.extend_from_slice(&part[..count]);

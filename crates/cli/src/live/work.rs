@@ -20,7 +20,7 @@ use super::requests::{Requests, lock};
 const IDLE: Duration = Duration::from_millis(20);
 /// Time that the renderer sleeps while the solver is busy.
 const SHORT: Duration = Duration::from_millis(2);
-/// Largest number of iterations for a light field while the viewers stay.
+/// Largest number of iterations for a light field while no viewer moves.
 const MOST_UPDATES: u32 = 60;
 /// Longest step of the solver, seconds: a good state that comes late looks worse than a fair state
 /// that comes soon.
@@ -134,7 +134,7 @@ pub(super) fn render(
                 task.warn("live", error.to_string());
             }
         }
-        // Wait until the solver has used the last light field that was sent.
+        // True if the solver has used the last light field that was sent.
         let is_solved = shared.handled.load(Ordering::SeqCst) >= sent;
         if !(is_video || is_new || is_solved) {
             // Wait, since another pass would take processor time from the solver.
@@ -272,7 +272,8 @@ struct Current {
     rays: Rays,
     /// Number of iterations since the content changed.
     updates: u32,
-    /// Number of iterations that the solver will still spend on this light field.
+    /// Number of iterations that the solver will still spend on this light field. A viewer who
+    /// moves resets the number.
     left: u32,
 }
 

@@ -6,9 +6,9 @@
 //! −z·Δs/p pixels. Here Δs is the difference of the views' slopes, and p the pixel pitch. Between
 //! pinholes at distance D, content is shifted by q = −z·Δs/(1 − z/D) millimetres.
 //!
-//! If no shift is clearly better, a pixel takes the clear shift that is nearest in its row. A row
-//! without a clear shift gets the depth of the display plane. A median over squares removes
-//! outliers.
+//! The best shift of a pixel is accepted if it is clearly better than the mean over all shifts. Any
+//! other pixel takes the nearest accepted shift of its row. A row without accepted shifts gets the
+//! depth of the display plane. A median over squares removes outliers.
 
 use lumistack_core::colour::luminance;
 use lumistack_display::{FieldGeometry, LightField, Projection};
@@ -38,8 +38,8 @@ const RADIUS: std::ops::RangeInclusive<usize> = 3..=6;
 const REACH_SHARE: usize = 16;
 const REACH: std::ops::RangeInclusive<usize> = 3..=40;
 /// The best shift is rejected unless it is clearly better than the mean. Its sum of differences
-/// must be below the mean sum over all shifts by this much per pixel. Pixels have values of 0 to
-/// 4095.
+/// must be below the mean sum over all shifts by at least this much per pixel. Pixels have values
+/// of 0 to 4095.
 const BETTER_BY: u32 = 40;
 /// An edge is where the shift changes by more than this fraction of the number of columns, and by
 /// more than one pixel. Pixels up to `NEAR` away belong to the edge.
@@ -76,7 +76,7 @@ impl DepthMap {
     }
 }
 
-/// Returns the depth of content, millimetres, from its position on z = 0 in two views. The
+/// Returns the depth of content, millimetres, from its positions on z = 0 in two views. The
 /// positions differ by `shift_mm`, and the slopes of the views by `step`.
 fn depth(shift_mm: f64, step: f64, geometry: &FieldGeometry) -> f64 {
     match geometry.grid.projection {

@@ -22,7 +22,7 @@ pub(super) fn patterns(input: &ReportInput, patterns: &Patterns) -> Markup {
             p {
                 (scale(display))
                 @if frames > 1 {
-                    " The standard deviation over frames is shown × " (CHANGE) ": black is the same in every frame, white changes between the ends of the range."
+                    " The standard deviation over frames is shown × " (CHANGE) ": black pixels are the same in every frame, white pixels change between the ends of the range."
                 }
                 @if patterns.large_shrunk > 1 { " Large pictures are at 1/" (patterns.large_shrunk) " size, averaged over areas; the exact masks are in the run's files." }
             }

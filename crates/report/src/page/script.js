@@ -3,7 +3,8 @@
   const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
   const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-  // Each sheet contains all views, and one view of it is visible. Pointer or arrow keys choose it.
+  // Each sheet contains all views, and one view of it is visible. Pointer or arrow keys choose this
+  // view.
   const look = document.getElementById("look");
   if (look) {
     const across = look.dataset.across.split("|"), up = look.dataset.up.split("|");

@@ -90,8 +90,8 @@ pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
         section {
             h2 { "Views side by side" }
             p {
-                "Corner views are the hardest: their rays are the most oblique, so things far from the display blur or double there first. Seen pictures, averaged over the area of every pixel, come from directions of the zone that were not targets of the optimization; ghosts and noise that "
-                "only seen pictures show mean that the target's views are too far apart. Views outside the outermost ones are not constrained, so the picture may break up there."
+                "Corner views are the hardest: their rays are the most oblique, so things far from the display blur or double there first. Seen pictures are averaged over the area of every pixel, and come from directions of the zone that were not targets of the optimization. If ghosts and noise appear "
+                "only in seen pictures, the target's views are too far apart. Views outside the outermost ones are not constrained, so the picture may break up there."
                 @if !one_view { (missing) }
                 (shrunk_note(measured.rows_shrunk))
             }

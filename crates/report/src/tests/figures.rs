@@ -1,7 +1,7 @@
 //! Numbers of report.json other than PSNR, compared with the display crate or with closed forms.
 //!
-//! Limits are simulated for the central view and the corners. The tests of limits have two by two
-//! views, so all their views are simulated.
+//! Limits are simulated for the central view and the corners. Tests that compare a limit with the
+//! score have two by two views, so all views of these tests are simulated.
 
 use lumistack_core::metrics::{Flip, ssim};
 use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator, ViewGrid, Weights, quantize, score};
