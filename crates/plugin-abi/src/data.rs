@@ -63,8 +63,8 @@ impl Plane {
 pub struct Time {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// Number of the time step. For outputs and nodes the first number is 0, also of a still. For a
-    /// source the job sets the first number.
+    /// Number of the time step. For outputs and nodes the first number is 0; a still has the number
+    /// 0. For a source the job sets the first number.
     pub index: u64,
     /// Time in the scene, seconds.
     pub seconds: f64,

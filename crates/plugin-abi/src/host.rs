@@ -36,8 +36,8 @@ pub struct HostServices {
     pub progress_advance: unsafe extern "C" fn(context: *const c_void, steps: u64, note: Str),
     /// Ends the stage.
     pub progress_end: unsafe extern "C" fn(context: *const c_void),
-    /// Returns nonzero once the user cancelled. Long work calls this function often. After a
-    /// nonzero result it returns [`Status::CANCELLED`].
+    /// Returns nonzero once the user cancelled. A plugin calls this function often during long
+    /// work. After a nonzero result the plugin returns [`Status::CANCELLED`].
     pub is_cancelled: unsafe extern "C" fn(context: *const c_void) -> u8,
     /// Starts a file, with `*file` as its handle. `path` is relative to the output's folder, with
     /// `/` between names and no `..`.

@@ -117,7 +117,7 @@ impl Status {
     pub const OK: Self = Self(0);
     /// The call failed; the error text states why.
     pub const FAILED: Self = Self(1);
-    /// The call stopped because the host cancelled; it implies nothing about the input.
+    /// The call stopped because the host cancelled. The input may be valid or invalid.
     pub const CANCELLED: Self = Self(2);
     /// The callee does not support the parameters or data; the error text names them.
     pub const REFUSED: Self = Self(3);

@@ -1,5 +1,5 @@
-//! `include/lumistack_plugin.h` agrees with the Rust types, and a C compiler gives them the same
-//! layout.
+//! `include/lumistack_plugin.h` agrees with the Rust types, and a C compiler gives its structs the
+//! layout of the Rust types.
 //!
 //! `LUMISTACK_WRITE=1 cargo test -p lumistack-plugin-abi --test header` rewrites the header.
 
@@ -124,7 +124,7 @@ macro_rules! layout {
     )*};
 }
 
-/// Every Unix that links Rust has a C compiler.
+/// Runs on Unix only, where a C compiler is present: Rust needs one there to link.
 #[test]
 #[cfg(unix)]
 fn c_compilers_see_the_same_layout() {

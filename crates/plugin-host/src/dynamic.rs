@@ -33,7 +33,7 @@ const FORMAT: BinaryFormat = if cfg!(windows) {
 } else {
     BinaryFormat::Elf
 };
-/// Part of a plugin library's file name between the system's prefix and the plugin's name.
+/// Part of a library's file name between the system's prefix and `<name>`.
 const STEM: &str = "lumistack_plugin_";
 
 /// Search paths for plugins: first `named`, then `user`. If several plugins have one id, the first

@@ -74,8 +74,8 @@ impl Staging {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        // Errors are ignored, since the next output into the folder removes a staging folder that
-        // is left. A created folder in use has files, and `remove_dir` removes only empty folders.
+        // Errors are ignored: the next output into the folder removes a staging folder that is
+        // left. `remove_dir` removes only empty folders, so created folders with files stay.
         let _ = fs::remove_dir_all(&self.path);
         for folder in self.made.iter().rev() {
             let _ = fs::remove_dir(folder);

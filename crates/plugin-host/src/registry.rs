@@ -149,12 +149,13 @@ impl Registry {
         self.plugins.iter().map(Plugin::info).find(takes).or_else(|| self.infos().find(takes))
     }
 
-    /// Returns the descriptions of all plugins, for listings. Loads all libraries.
+    /// Returns the descriptions of all usable plugins, for listings. Loads all libraries.
     pub fn infos(&self) -> impl Iterator<Item = &PluginInfo> {
         self.entries().map(|(info, _)| info)
     }
 
-    /// Returns the descriptions and origins of all plugins, sorted by id. Loads all libraries.
+    /// Returns the descriptions and origins of all usable plugins, sorted by id. Loads all
+    /// libraries.
     pub fn entries(&self) -> impl Iterator<Item = (&PluginInfo, &Origin)> {
         let mut entries: Vec<_> = self.plugins.iter().map(|plugin| (plugin.info(), &Origin::CompiledIn)).collect();
         let loaded = self.libraries.iter().filter_map(|library| Some((library.plugin().ok()?.info(), &library.origin)));

@@ -89,10 +89,12 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
     can_be_abandoned(plugin, samples.first())
 }
 
-/// Checks that two builds of one plugin have equal descriptions and produce equal bytes. All
-/// samples are compared with default parameters and with all switches on. For each end of a
-/// parameter's range, one sample is compared again. Returns the number of compared files, stacks,
-/// light fields or documents.
+/// Checks that two builds of one plugin have equal descriptions and produce equal results. Returns
+/// the number of compared files, stacks, light fields or documents.
+///
+/// An output writes all samples, with default parameters and with all switches on. For each end of
+/// a parameter's range, it writes one sample. Other plugins make results with default parameters,
+/// and for each end of a parameter's range.
 ///
 /// # Errors
 /// The first difference.

@@ -26,7 +26,7 @@ pub fn layers(display: &Display, count: usize) -> Result<(), PluginError> {
 pub fn attenuating(display: &Display) -> Result<(), PluginError> {
     match display.formation {
         Formation::Attenuating => Ok(()),
-        other => Err(PluginError::display(display, "layers that attenuate", format!("{other:?}").to_lowercase())),
+        other => Err(PluginError::display(display, "the formation attenuating", format!("{other:?}").to_lowercase())),
     }
 }
 
@@ -96,7 +96,7 @@ mod tests {
         display.formation = Formation::Additive;
         assert_eq!(
             attenuating(&display),
-            Err(refused("display `bench`: expected layers that attenuate, found additive"))
+            Err(refused("display `bench`: expected the formation attenuating, found additive"))
         );
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-6.0, [4, 3], 2.0, [3, 2], [20.0, 14.0]));
         assert!(lenslets(&display).is_ok() && uniform_backlight(&display).is_err());

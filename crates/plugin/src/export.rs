@@ -85,8 +85,8 @@ pub fn entry_of(plugin: &'static LazyLock<Export>) -> *const Descriptor {
     catch_unwind(|| &raw const *plugin.descriptor()).unwrap_or(std::ptr::null())
 }
 
-/// Returns true if a text can be a plugin's id. The name of the plugin's entry symbol ends with its
-/// id. An id has lower-case letters, digits and underscores, and begins with a letter.
+/// Returns true if a text can be a plugin's id: it has lower-case letters, digits and underscores,
+/// and begins with a letter. The name of a plugin's entry symbol ends with the id.
 pub const fn is_plugin_id(id: &str) -> bool {
     let id = id.as_bytes();
     let mut i = 0;

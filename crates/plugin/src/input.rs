@@ -121,26 +121,23 @@ impl StackInput<'_> {
         self.emission
     }
 
-    /// Returns the geometry of the light field that the stack was solved for.
+    /// Returns the geometry of the target, the light field for which the stack was solved.
     pub fn target(&self) -> &FieldGeometry {
         &self.target
     }
 
-    /// Returns the depth of the central view of the light field that the stack was solved for, if
-    /// the host has it.
+    /// Returns the depth of the target's central view; `None` if the host does not know this depth.
     pub fn target_depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }
 
-    /// Returns true if [`target_view`](Self::target_view) can read the views of the target, the
-    /// light field for which the stack was solved.
+    /// Returns true if [`target_view`](Self::target_view) can read the target's views.
     pub fn has_target_views(&self) -> bool {
         self.target_views
     }
 
-    /// Returns the radiance `[row][col][rgb]` of one view of the light field that the stack was
-    /// solved for; `view` is [view_y, view_x]. `None` if the host has only the light field's
-    /// geometry.
+    /// Returns the radiance `[row][col][rgb]` of one view of the target; `view` is [view_y,
+    /// view_x]. `None` if the host has only the target's geometry.
     ///
     /// # Errors
     /// If there is no such view, or the host cannot lend it.
@@ -195,13 +192,14 @@ impl StackInput<'_> {
 }
 
 impl FieldInput<'_> {
-    /// Returns the numbers of pixels and views, and the views' slopes.
+    /// Returns the light field's numbers of pixels and views, its pixel pitch, projection and
+    /// slopes.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }
 
-    /// Returns the depth of the central view, [view rows / 2, view columns / 2], if the host has
-    /// it.
+    /// Returns the depth of the central view, [view rows / 2, view columns / 2]; `None` if the host
+    /// does not know this depth.
     pub fn depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }

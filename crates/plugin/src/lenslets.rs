@@ -9,12 +9,12 @@
 //! ```
 //!
 //! at every point of the lens. At height h above the axis, a ray arrives with slope (h − u)/f, and
-//! the lens adds −h/f. Let an axis have A bins over the full angle α. Then in the display model a
-//! lens emits at slope s the value of bin floor(A/2 · (1 + s / tan(α/2))).
+//! the lens adds −h/f. Horizontally or vertically, let A bins divide the full angle α. Then in the
+//! display model a lens emits at slope s the value of bin floor(A/2 · (1 + s / tan(α/2))).
 //!
 //! A lens is not a whole number of pixels wide (2.54 mm are 8.98 pixels of 0.2827 mm). Therefore
-//! the lens and the offset u are computed for every pixel. Coordinates are display millimetres, x
-//! right, y up, seen from the front.
+//! the lens and the offset u are computed for every pixel. Coordinates are millimetres in display
+//! space, x right, y up, seen from the front.
 
 use lumistack_display::LensletBacklight;
 
@@ -90,7 +90,7 @@ impl LensletPanel {
             lens[axis] = index as usize;
             u[axis] = (position - index - 0.5) * self.lens_pitch_mm;
         }
-        // Turn the offset from the lens's axis back to the display's axes, with y down.
+        // Rotate the offset u back to the display's directions x and y, with y down.
         let u = [cos * u[0] + sin * u[1], cos * u[1] - sin * u[0]];
         let mut bin = [0usize; 2];
         for axis in 0..2 {
@@ -178,8 +178,8 @@ mod tests {
     }
 
     /// Compares the picture with an oracle by ray optics. The oracle traces random rays, which
-    /// leave the lens array, back through a thin lens to the panel. The pixel that a ray hits must
-    /// have the ray's value in the display model.
+    /// leave the lens array, back through a thin lens to the panel. For most rays, the pixel that
+    /// the ray hits must have the ray's value in the display model.
     #[test]
     fn traced_rays_agree_with_the_display_model() {
         let display = display();

@@ -1,7 +1,8 @@
 //! The crate for plugin authors: safe traits over the C interface of `lumistack-plugin-abi`, a
 //! parameter schema, and the export macro.
 //!
-//! An output plugin is a type that implements [`OutputPlugin`] and one line at the end of the file:
+//! An output plugin is a type that implements [`OutputPlugin`]. The plugin's file ends with
+//! `export_plugin!`:
 //!
 //! ```
 //! use lumistack_plugin::{Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema};

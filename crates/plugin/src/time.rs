@@ -8,8 +8,8 @@ use crate::wire::needs;
 /// One time step of a sequence.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Time {
-    /// Number of the time step. For outputs and nodes the first number is 0, also of a still. For a
-    /// source the job sets the first number.
+    /// Number of the time step. For outputs and nodes the first number is 0; a still has the number
+    /// 0. For a source the job sets the first number.
     pub index: u64,
     /// Time in the scene, seconds.
     pub seconds: f64,

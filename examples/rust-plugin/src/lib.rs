@@ -53,7 +53,7 @@ impl OutputPlugin for Means {
         Ok(Self { host, params, lines: Mutex::default() })
     }
 
-    // The host calls this once for every time step of a sequence, from any thread and in any order.
+    // Called once for every time step of a sequence, from any thread and in any order.
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
         let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
         let separator = match self.params.separator {
@@ -77,7 +77,7 @@ impl OutputPlugin for Means {
         Ok(())
     }
 
-    // The host calls this after the last time step.
+    // Called after the last time step.
     fn finish(self) -> Result<(), PluginError> {
         self.host.check_cancelled()?;
         let mut lines = self.lines.into_inner().expect("no submit panicked");

@@ -1,4 +1,4 @@
-//! Writes an animated PNG, seen from a viewpoint that swings through the viewing zone.
+//! Writes an animated PNG: the views from a viewpoint that swings through the viewing zone.
 //!
 //! The grid has A_x × A_y views. The viewpoint's position (x, y) is relative to the grid's centre,
 //! in units of views. Let φ = 2πt/T at time t of the period T. Then x = (A_x − 1)/2 · sin φ. On an

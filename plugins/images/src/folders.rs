@@ -6,14 +6,14 @@
 //!   views. Let f = D / pixel pitch. Content at distance Z from the cameras has a disparity of
 //!   b·f·(1/Z − 1/D) pixels between neighbouring cameras. In display space this content is at the
 //!   depth z = D − Z, and its disparity is Δs·D·z/((D − z)·pitch). For parallel projections the
-//!   disparity is Δs·z/pitch. The disparity map belongs to the central view, if the host knows the
-//!   depth of this view. Otherwise the map contains NaN, and the range of disparities is computed
-//!   from the display's depth of field.
+//!   disparity is Δs·z/pitch. `gt_disp_lowres.pfm` contains the disparities of the central view. If
+//!   the host does not know the depth of this view, all these values are NaN. The range of
+//!   disparities is then computed from the display's depth of field.
 //! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, with view row RR, view column CC and the camera's centre
 //!   in millimetres, X right, Y down.
 //!
-//! A light field of parallel projections has no cameras. Its pictures have the same names and
-//! order. The distances in its files are computed for cameras at a nominal distance D.
+//! A light field of parallel projections has no cameras. Its pictures are named and ordered like
+//! those of cameras. The distances in its files are computed for cameras at a nominal distance D.
 
 use lumistack_plugin::display::{FieldGeometry, Projection, SeenDepth, Transfer};
 use lumistack_plugin::{Host, PluginError};

@@ -5,24 +5,27 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `layer_L_frame_MM.png` | the mask of one layer in one frame, in the panel's code values, unless the parameter `encode` selects others: from its darkest state (`black_level`) to its brightest (`peak`) |
+//! | `layer_L_frame_MM.png` | the mask of one layer in one frame. By default its codes drive the panel, from the darkest state (`black_level`) to the brightest (`peak`); see the parameter `encode` |
 //! | `backlight_frame_MM.png` | approximate picture of the panel behind the lenslets, with one cell of pixels per lenslet; see [`pictures`] |
 //! | `panel_frame_MM.png` | picture for the panel behind the lenslets, in the panel's own pixels; see [`lumistack_plugin::lenslets`] |
-//! | `simulated_YY_XX.png` | the simulated view of the target's grid for an adapted viewer: emitted radiance / β |
+//! | `simulated_YY_XX.png` | one view, simulated for an adapted viewer: the emitted radiance, divided by the brightness β |
 //! | `atlas.png`, `atlas.json` | the masks of all layers and frames on one sheet, and their positions |
-//! | `sheet.png` | contact sheet: all masks and views, reduced, with captions |
-//! | `stack.npz` | the values of all masks |
+//! | `sheet.png` | contact sheet: reduced pictures of all masks and of the selected views, with captions |
+//! | `stack.npz` | the values of all masks and of the emission, the layers' distances, and β |
 //! | `images.json` | content and encoding of every file |
 //!
-//! Files of a light field: `view_YY_XX.png` for every view. Files of a layer stack or a light
-//! field: `swing.png`, an animation; `views.exr`, all views as one multi-view OpenEXR file;
-//! `views.npz`; the folders `hci/` and `stanford/`. Views of a layer stack are simulated for an
-//! adapted viewer.
+//! Files of a light field: `view_YY_XX.png` for every view; `views.npz`, the values of all views;
+//! `sheet.png`, all views reduced.
+//!
+//! Files of a layer stack or a light field: `swing.png`, an animation; `views.exr`, all views as
+//! one multi-view OpenEXR file; the folders `hci/` and `stanford/`. Views of a layer stack are
+//! simulated for an adapted viewer.
 //!
 //! Names of 16-bit PNGs end in `_16bit.png`, except in `hci/` and `stanford/`. EXR and NPZ files
-//! contain the values themselves, linear. If `encode` is `linear`, PNGs of masks and views have
-//! codes proportional to light, and names with `_linear` at the end. The second time step of a
-//! sequence is written to `t0001/`, the third to `t0002/`, and so on.
+//! contain the values themselves, linear. If `encode` is `linear`, the codes of masks, the
+//! backlight and single views are proportional to light, and their PNGs have `_linear` in their
+//! names. This does not apply to `hci/` and `stanford/`. The second time step of a sequence is
+//! written to `t0001/`, the third to `t0002/`, and so on.
 //!
 //! Memory does not grow with the number of frames. `views.exr` needs twice the memory of all views.
 

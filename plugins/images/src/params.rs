@@ -186,7 +186,7 @@ pub(crate) fn schema() -> Schema {
             "lens_focal_mm",
             0.0,
             0.0..=1000.0,
-            "Measured focal length of the lenses in air; 0 for the length at which the horizontal bins fill the width of the panel behind one lens.",
+            "Measured focal length of the lenses in air. 0 uses the value of the display file. If the file states none, the horizontal bins fill the width of the panel behind one lens.",
         )
         .unit("mm"),
         Param::float(
@@ -234,7 +234,8 @@ impl Encode {
 }
 
 impl ImagesParams {
-    /// Checks that at least one output is requested, and that no output needs another one.
+    /// Checks that at least one output is requested, and that the picture of `lenslet_panel` has a
+    /// format.
     ///
     /// # Errors
     /// If no output is requested, or `lenslet_panel` is set without a format of pictures.

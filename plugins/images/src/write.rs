@@ -256,7 +256,8 @@ impl Images {
         Ok(entry(path, Content::Sheet, format, false, Some([height, width]), time))
     }
 
-    /// Writes the files that each contain all views, for a stack or a light field.
+    /// Writes the multi-view OpenEXR file, the animation and the folders of public archives, for a
+    /// stack or a light field.
     fn write_from_views(
         &self,
         time: Time,
@@ -354,7 +355,7 @@ impl Images {
         let linear = if params.encode == Encode::Linear { "_linear" } else { "" };
         let proportional = *transfer == Transfer::Linear;
         let codes = picture.panel.map(|panel| panel.codes);
-        // Write PNGs, whose codes drive the panel, and OpenEXR files, which contain the linear mask
+        // Write PNGs, whose codes may drive a panel, and OpenEXR files, which contain the linear
         // values.
         if params.png8 || params.png16 {
             let driven: Cow<'_, [f32]> = match picture.panel {

@@ -4,8 +4,8 @@
 //! `cargo run -p lumistack-plugin-panels --features window --example solver -- 8` shows three
 //! layers on the first three outputs for eight seconds. The thread submits a stack every 0.3 s and
 //! stalls from the third to the fifth second (not with `steady` as the second argument). The
-//! program prints a line per submission: refresh number, position in the cycle of frames, stack
-//! number, seconds.
+//! program prints a line per refresh: number of the refresh, position in the cycle of frames,
+//! number of the stack, seconds.
 
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};

@@ -7,9 +7,9 @@
 //!                                                                        frame per refresh)
 //! ```
 //!
-//! The codes of [`Picture`] depend only on the display, the stack and the output. Windows and the
-//! GPU (`window::present`) need the feature `window`; without it this crate does not depend on
-//! winit and wgpu.
+//! The codes of [`Picture`] depend only on the display, the output, the stack, the frame and the
+//! colour. Windows and the GPU (`window::present`) need the feature `window`; without it this crate
+//! does not depend on winit and wgpu.
 //!
 //! The output plugin `panels` is a presenter, which `lumistack show` runs. Layer stacks can be
 //! submitted while it runs. Commands and events are the JSON of [`presentation`]. In a build

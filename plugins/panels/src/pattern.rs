@@ -213,8 +213,8 @@ impl Pattern {
                 Self::Identify => picture.encode([mixed(label.at(u, v)); 3]),
                 _ => {
                     let share = place.mm(at).map_or(0.0, |mm| crosses.share(mm));
-                    // A cross of the panel `only` is black. Otherwise the crosses of each layer
-                    // absorb two of the three channels.
+                    // A cross of the panel `only` is black. Without `only`, the crosses of each
+                    // layer absorb two of the three channels.
                     let kept = if only.is_some() { 3 } else { layer % 3 };
                     picture.encode([0, 1, 2].map(|c| if c == kept { neutral } else { mixed(share) }))
                 }

@@ -48,8 +48,8 @@ impl Place {
         self.panel.crop
     }
 
-    /// Returns the position (column, row) in the upright picture of a position (column, row) on the
-    /// output. Whole numbers are pixel centres.
+    /// Maps a position (column, row) on the output to its position (column, row) in the upright
+    /// picture. Whole numbers are pixel centres.
     pub fn upright(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [cols, rows] = self.upright_size().map(|count| count as f64 - 1.0);
         let [u, v] = match self.panel.rotate_deg {
@@ -65,9 +65,9 @@ impl Place {
         }
     }
 
-    /// Returns the nominal position, before the homography, of a position (column, row) on the
-    /// output. It is in millimetres from the layer's centre, x right and y up. `None` outside the
-    /// crop.
+    /// Maps a position (column, row) on the output to its nominal position on the layer, before the
+    /// homography. The result is in millimetres from the layer's centre, x right and y up. `None`
+    /// outside the crop.
     pub fn nominal_mm(&self, output: [f64; 2]) -> Option<[f64; 2]> {
         let [u, v] = self.upright(output);
         let [left, top, cols, rows] = self.panel.crop.map_or_else(
@@ -87,8 +87,8 @@ impl Place {
         Some([x * self.pitch_mm, -y * self.pitch_mm])
     }
 
-    /// Returns the real position, after the homography, of a position (column, row) on the output,
-    /// millimetres from the layer's centre. `None` outside the crop.
+    /// Maps a position (column, row) on the output to its real position on the layer, after the
+    /// homography, in millimetres from the layer's centre. `None` outside the crop.
     pub fn mm(&self, output: [f64; 2]) -> Option<[f64; 2]> {
         self.nominal_mm(output).map(|nominal| self.homography.apply(nominal))
     }

@@ -124,7 +124,7 @@ impl OutputPlugin for Panels {
                 "Layer that shows the picture; 0 is the rearmost layer, -1 the layer nearest to the display plane.",
             )
             .unit("1"),
-            Param::bool("log", false, "Include the time of every submission in reports."),
+            Param::bool("log", false, "Include the time of every refresh in reports."),
         ])
     }
 
@@ -132,7 +132,7 @@ impl OutputPlugin for Panels {
         let content = fixed(&params, &display)?;
         let frames = if content.is_some() { 1 } else { display.frames };
         if usize::try_from(params.hold).is_ok_and(|hold| hold >= frames) {
-            return Err(refused("hold", format!("0 to {}", frames - 1), params.hold));
+            return Err(refused("hold", format!("-1 to {}", frames - 1), params.hold));
         }
         let (send, commands) = channel();
         Ok(Self { host, params, display, pending: Mutex::new(Some(Pending { content, commands })), send })
@@ -225,7 +225,7 @@ fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, Pl
         let eye_mm = [params.eye_x_mm, params.eye_y_mm, distance.unwrap_or(DISTANCE_MM)];
         let nearest = display.layers.last().map_or(0.0, |layer| layer.d_mm);
         if eye_mm[2] <= nearest {
-            let expected = format!("a distance in front of all layers, above {nearest}");
+            let expected = format!("a distance in front of all layers, above {nearest} mm");
             return Err(refused("eye_z_mm", expected, eye_mm[2]));
         }
         return Ok(Some(Content::Pattern { pattern, only: only.transpose()?, eye_mm }));
@@ -237,7 +237,7 @@ fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, Pl
             .unwrap_or(0);
         let layer = usize::try_from(params.layer).unwrap_or(nearest);
         if layer >= display.layers.len() {
-            return Err(refused("layer", format!("0 to {}", display.layers.len() - 1), layer));
+            return Err(refused("layer", format!("-1 to {}", display.layers.len() - 1), layer));
         }
         let cannot =
             |error: &dyn std::fmt::Display| PluginError::Refused(format!("`picture`: {}: {error}", params.picture));

@@ -26,7 +26,7 @@ pub struct Settings {
     pub hold: Option<usize>,
     /// Duration of the presentation; `None` for a presentation that runs until the user closes it.
     pub duration: Option<Duration>,
-    /// True if [`Report::log`] records the time of every submission.
+    /// True if [`Report::log`] records the time of every refresh.
     pub log: bool,
 }
 
@@ -169,7 +169,8 @@ pub struct Report {
     pub swaps: u64,
     /// Number of surface images that could not be acquired, summed over all surfaces.
     pub missed: u64,
-    /// Statistics from the times of submission; `None` before the first submission.
+    /// Statistics from the times at which refreshes were submitted; `None` if the present loop has
+    /// not started.
     pub submitted: Option<Tally>,
     /// Statistics from the platform's presentation times, per surface. Empty if the platform
     /// reports none.
@@ -180,9 +181,9 @@ pub struct Report {
     /// Largest time between the first and the last output of a refresh, seconds. `None` in the same
     /// cases as for the mean.
     pub skew_largest_s: Option<f64>,
-    /// (refresh number, position in the period, number of the frame set, seconds) of every
-    /// submission, if requested. A new layer stack makes a new frame set, and so does any other
-    /// change of the frames.
+    /// (refresh number, position in the period, number of the frame set, seconds) of every refresh,
+    /// if requested. A new layer stack makes a new frame set, and so does any other change of the
+    /// frames.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub log: Vec<(u64, usize, u64, f64)>,
 }

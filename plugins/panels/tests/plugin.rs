@@ -32,17 +32,17 @@ fn parameters_that_do_not_go_with_the_display_are_refused() {
     for params in [json!({}), json!({"pattern": "ramp", "only": "2"}), json!({"hold": 2}), json!({"mode": "window"})] {
         assert_eq!(opened(&params, &display), Ok(()));
     }
-    refused(json!({"hold": 3}), "`hold`: expected 0 to 2, found 3");
-    refused(json!({"pattern": "ramp", "hold": 1}), "`hold`: expected 0 to 0, found 1");
+    refused(json!({"hold": 3}), "`hold`: expected -1 to 2, found 3");
+    refused(json!({"pattern": "ramp", "hold": 1}), "`hold`: expected -1 to 0, found 1");
     refused(json!({"pattern": "stripes"}), "found stripes");
     for only in ["backlight", "3", "front"] {
         let expected = format!("`only`: expected one of layer 0, layer 1, layer 2, found {only}");
         refused(json!({"pattern": "ramp", "only": only}), &expected);
     }
-    let expected = "`eye_z_mm`: expected a distance in front of all layers, above 10, found 5";
+    let expected = "`eye_z_mm`: expected a distance in front of all layers, above 10 mm, found 5";
     refused(json!({"pattern": "crosshairs", "eye_z_mm": 5.0}), expected);
     refused(json!({"picture": "no such file"}), "`picture`: no such file");
-    refused(json!({"picture": "x", "layer": 3}), "`layer`: expected 0 to 2");
+    refused(json!({"picture": "x", "layer": 3}), "`layer`: expected -1 to 2");
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! The layout of a quilt, and the suffix of its name.
 //!
 //! A quilt is one picture with a tile for each view. View 0, the leftmost view, is the tile at the
-//! bottom left. The next views are right of it, then in the rows above. Tiles have ⌊width /
-//! columns⌋ × ⌊height / rows⌋ pixels and start at the bottom left. If the quilt's sizes do not
-//! divide evenly, the remaining pixels at the top and right are black. The name ends in
+//! bottom left. The next views are to the right of view 0, then in the rows above. Tiles have
+//! ⌊width / columns⌋ × ⌊height / rows⌋ pixels and start at the bottom left. If the quilt's sizes do
+//! not divide evenly, the remaining pixels at the top and right are black. The name ends in
 //! `_qs<columns>x<rows>a<aspect>`. The aspect is the width over the height of a view as a viewer
 //! sees it, which may differ from the aspect of its tile.
 
@@ -36,9 +36,9 @@ pub struct Given {
 }
 
 impl Layout {
-    /// Returns the layout of a device's quilt. Without a device it is the layout for `views` views
-    /// of `view_size` = [columns, rows] pixels. Values of `given` other than 0 replace the values
-    /// of the device or of the views.
+    /// Returns the layout of a device's quilt. Without a device, returns the layout for `views`
+    /// views of `view_size` = [columns, rows] pixels. Values of `given` other than 0 replace the
+    /// values of the device or of the views.
     ///
     /// # Errors
     /// If only one of columns and rows is given, or a tile has no pixel.
@@ -64,7 +64,7 @@ impl Layout {
         if size[0] < columns || size[1] < rows {
             let [width, height] = size;
             return refused(format!(
-                "parameters `width` and `height`: expected at least {columns} × {rows} pixels, at least one per view, found {width} × {height}"
+                "parameters `width` and `height`: expected at least {columns} × {rows} pixels, one for every view, found {width} × {height}"
             ));
         }
         let own = view_size[0] as f64 / view_size[1] as f64;
@@ -88,8 +88,8 @@ impl Layout {
         [view % self.columns * tile[0], self.size[1] - (view / self.columns + 1) * tile[1]]
     }
 
-    /// Returns the suffix of the file's name. It states the aspect with five decimals, which
-    /// distinguish views whose sizes differ by one pixel.
+    /// Returns the suffix of the file's name. The suffix states the aspect with up to five
+    /// decimals, which distinguish views whose sizes differ by one pixel.
     pub fn suffix(&self) -> String {
         let rounded = (self.aspect * 1e5).round() / 1e5;
         format!("_qs{}x{}a{rounded}", self.columns, self.rows)

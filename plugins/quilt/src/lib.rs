@@ -2,8 +2,8 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `NAME_qs<C>x<R>a<A>.png` | quilt of C × R tiles with the aspect ratio A. The tiles are the views of one row of the light field, from left to right; view 0 is in the bottom-left tile. See [`layout`] |
-//! | `NAME_native.png` | with a calibration, the screen's native picture: every subpixel shows the view for the direction into which its lens sends its light; see [`weave`] |
+//! | `NAME_qs<C>x<R>a<A>.png` | quilt of C × R tiles, for views that a viewer sees with the aspect ratio A. The tiles are the views of one row of the light field, from left to right; view 0 is in the bottom-left tile. See [`layout`] |
+//! | `NAME_native.png` | with a calibration, the screen's native picture: every subpixel shows the view for the direction into which the lens sends the subpixel's light; see [`weave`] |
 //! | `quilt.json` | sizes, the slope of every view, and the way in which each view was made |
 //!
 //! Pictures are 8-bit sRGB without alpha. The second time step of a sequence is `NAME_f0001_qs…`,
@@ -172,7 +172,7 @@ impl OutputPlugin for Quilt {
                 [
                     ("nearest", "The nearest view, with a warning."),
                     ("blend", "A blend of the two neighbouring views, which shows double edges, with a warning."),
-                    ("refuse", "An error that lists the views to render."),
+                    ("refuse", "An error that states the number of views to render."),
                 ],
                 "Handling of tiles at whose position a light field has no view. Layer stacks are simulated at every position.",
             ),
@@ -375,7 +375,7 @@ fn read_calibration(given: &str) -> Result<Option<Calibration>, PluginError> {
     } else {
         std::fs::read_to_string(given).map_err(|error| refused(format!("cannot read {given}: {error}")))?
     };
-    let json = serde_json::from_str(&text).map_err(|error| refused(format!("expected JSON, found {error}")))?;
+    let json = serde_json::from_str(&text).map_err(|error| refused(format!("invalid JSON: {error}")))?;
     Calibration::from_json(&json).map(Some).map_err(|error| refused(error.to_string()))
 }
 

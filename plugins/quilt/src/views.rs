@@ -24,7 +24,7 @@ pub enum Missing {
     Nearest,
     /// Blend the two neighbouring views.
     Blend,
-    /// Return an error that lists the views to render.
+    /// Return an error that states the number of views to render.
     Refuse,
 }
 

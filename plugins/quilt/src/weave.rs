@@ -1,5 +1,5 @@
 //! Computes the native picture of a lenticular display: every subpixel shows the view for the
-//! direction into which its lens sends its light.
+//! direction into which the lens sends the subpixel's light.
 //!
 //! The screen has W × H pixels. (u, v) is the centre of a pixel, 0..1 from the bottom left, and
 //! c = 0, 1, 2 is the channel. With the keys of `visual.json`:

@@ -34,14 +34,15 @@ impl Film {
     /// sRGB, and `dark` is the transmittance of the darkest state relative to clear film.
     ///
     /// # Errors
-    /// If a list is not a curve from code 0 to code 255.
+    /// If a list is not a curve from code 0 to code 255, or if there are neither one nor three
+    /// lists.
     pub fn new(curve: &str, dark: f64) -> Result<Self, PluginError> {
         if curve.trim().is_empty() {
             return Ok(Self { transfer: Transfer::Srgb, dark: [dark; 3], clear: None });
         }
         let refused = |found: &str| {
             PluginError::Refused(format!(
-                "parameter `curve`: expected two or more pairs `code transmittance` separated by commas, both rising, the first code 0, the last code 255, and transmittances in 0..1; one list, or three for red, green and blue, separated by semicolons; found {found:?}"
+                "parameter `curve`: expected one list, or three (red, green, blue) separated by semicolons. A list has two or more pairs `CODE TRANSMITTANCE` separated by commas: codes rise from 0 to 255, transmittances rise within 0..1; found {found:?}"
             ))
         };
         let tables: Vec<Vec<[f64; 2]>> =
@@ -65,8 +66,9 @@ impl Film {
         })
     }
 
-    /// Encodes values `[..][rgb]` of a layer, which are transmittances in 0..peak. Also returns the
-    /// number of values that are lost, since they are below the darkest state.
+    /// Returns the 8-bit codes of values `[..][rgb]` of a layer, transmittances in 0..peak. Also
+    /// returns the number of lost values. A lost value, divided by `peak`, is below the darkest
+    /// state by more than half a step between codes.
     pub fn codes(&self, layer: &Layer, rgb: &[f32]) -> (Vec<u8>, usize) {
         let mut lost = 0;
         let codes = rgb.iter().enumerate().map(|(i, &value)| {
@@ -85,8 +87,7 @@ impl Film {
     }
 }
 
-/// A value is regarded as lost if it is below the darkest state by more than this: half a step
-/// between codes.
+/// Half a step between codes, as a fraction of the transmittance of clear film.
 const HALF_CODE: f64 = 0.5 / 255.0;
 
 /// Parses a list of pairs. It must contain the codes 0 and 255, so that no code is outside the
@@ -151,7 +152,7 @@ mod tests {
             "0 0, 255 1; 0 0, 255 1",
         ] {
             let error = Film::new(bad, 0.0).unwrap_err().to_string();
-            assert!(error.starts_with("parameter `curve`: expected two or more pairs"), "{bad}: {error}");
+            assert!(error.starts_with("parameter `curve`: expected one list, or three"), "{bad}: {error}");
         }
     }
 }

@@ -33,8 +33,8 @@ pub use params::TransparenciesParams;
 use pdf::{Document, Page};
 use sheet::{INCH_MM, Sheet};
 
-/// Hash of this crate's sources, computed at build. It is part of the key of every cached result
-/// that this code contributes to.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// The plugin, open for one display.
@@ -71,7 +71,7 @@ struct Manifest<'a> {
     film_mm: [f64; 2],
     mirrored: bool,
     /// Least transmittance of the film relative to clear film, per channel. The `black_level` of
-    /// the display's layers should have this value.
+    /// the display's layers should be the largest of these three values.
     darkest: [f64; 3],
     spacers_mm: &'a [f64],
     /// Codes of the test chart's steps.
@@ -92,7 +92,7 @@ struct Entry {
     place_mm: [f64; 4],
     /// Columns and rows of the picture in the file.
     resolution: [usize; 2],
-    /// Count of mask values below the film's least transmittance.
+    /// Number of mask values below the film's least transmittance.
     too_dark: usize,
     time: u64,
 }
@@ -264,7 +264,7 @@ impl Transparencies {
     ) -> Result<(Page, [usize; 2], usize), PluginError> {
         let plane = stack.layer(n, 0)?;
         let (rows, cols, size) = (plane.rows(), plane.cols(), picture_size(self.params.dpi, n, layer)?);
-        // Read and encode the rows of the mask one after another, since a film may exceed memory.
+        // Read and encode the mask row by row, since a film's picture may be larger than memory.
         // If the picture has more rows than the mask, rows are repeated; if it has fewer, rows are
         // skipped.
         let mut masks = plane.iter_rows().enumerate();
@@ -292,7 +292,7 @@ impl Transparencies {
 }
 
 /// Returns [columns, rows] of a layer's picture in the file, at the resolution `dpi`. If `dpi` is
-/// 0, it is the size of the mask.
+/// 0, the picture has the mask's columns and rows.
 ///
 /// # Errors
 /// If a side exceeds [`SIDE_LIMIT`].

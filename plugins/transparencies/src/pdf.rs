@@ -13,11 +13,10 @@ use crate::sheet::INCH_MM;
 /// PDF units per millimetre.
 const POINTS: f64 = 72.0 / INCH_MM;
 const FONT: Name<'_> = Name(b"F");
-/// Largest number of samples of a picture in the file, since readers count a picture's bytes in 31
-/// bits. A larger picture is split into pieces one below another.
+/// Largest number of pixels of one picture in the file, so that PDF readers can count its bytes in
+/// 31 bits. A larger picture is split into pieces, one below another.
 const MOST_SAMPLES: usize = if cfg!(test) { 1 << 11 } else { 1 << 28 };
-/// Largest position of an object in the file, since a PDF's table of objects has ten digits for a
-/// position.
+/// Largest position of the table of objects in the file. A PDF has ten digits for a position.
 const LONGEST: u64 = 9_999_999_999;
 
 /// A PDF document. It has no dates, so that the same content gives the same bytes.
@@ -42,8 +41,7 @@ impl<W: Write> Document<W> {
     /// If it cannot be written.
     pub fn new(out: W, title: &str) -> io::Result<Self> {
         let mut document = Self { out, written: 0, places: vec![0; 4], pages: Vec::new() };
-        // Let `Pdf` write the header and the first objects, but not the trailer, which this writer
-        // makes.
+        // Let `Pdf` write the header and the title. It does not write the trailer; `finish` does.
         let mut pdf = Pdf::new();
         document.put(pdf.as_bytes())?;
         pdf.document_info(INFO).title(TextStr(title)).producer(TextStr("Lumistack"));
@@ -132,7 +130,8 @@ impl<W: Write> Document<W> {
     /// Writes the page tree, the table of objects and the trailer.
     ///
     /// # Errors
-    /// If the document cannot be written, or if its size has more than ten digits.
+    /// If the document cannot be written, or if the position of the table of objects has more than
+    /// ten digits.
     pub fn finish(mut self) -> io::Result<W> {
         let pages = std::mem::take(&mut self.pages);
         self.chunk(PAGE_TREE, |chunk| {

@@ -11,7 +11,7 @@ use lumistack_plugin::PluginError;
 use lumistack_plugin::display::Layer;
 
 /// Least distance from a film's edge to the page's edge, in mm. Cut lines and the title are printed
-/// there.
+/// between these edges.
 pub const OUTSIDE_MM: f64 = 12.0;
 /// Millimetres per inch.
 pub const INCH_MM: f64 = 25.4;

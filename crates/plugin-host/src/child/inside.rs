@@ -38,8 +38,8 @@ const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 /// Call this function from the main thread, before any use of standard input and output. End the
 /// process with the returned code.
 ///
-/// Standard output belongs to the program, so the library's standard output is redirected to
-/// standard error.
+/// Standard output belongs to the program. On Unix, the library's standard output is therefore
+/// redirected to standard error. On Windows the library must not print to standard output.
 pub fn plugin_child(args: &[OsString]) -> u8 {
     let [library, id] = args else {
         eprintln!(
@@ -671,13 +671,12 @@ impl Link {
         }
     }
 
-    /// Runs a call other than `submit` and `command`, on the main thread. After `open` the plugin
-    /// keeps a pointer to the host's table.
+    /// Runs a call other than `submit` and `command`, on the main thread.
     fn run(&'static self, host: &'static HostServices, call: u64, what: Call) {
         let Some(functions) = self.functions.get() else { return };
         let (link, instance) = (self, *locked(&self.instance));
         let host: *const HostServices = match &what {
-            // the plugin keeps the table until this process ends
+            // the plugin keeps a pointer to the table until this process ends
             Call::Open { port, .. } => Box::leak(Box::new(HostServices { port: *port, ..*host })),
             _ => host,
         };

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::time::Duration;
 
-/// Environment variable with the longest time in which a running plugin neither calls the host nor
-/// returns, seconds; 0 for no limit.
+/// Environment variable: the longest time, in seconds, in which a running plugin neither calls the
+/// host nor returns; 0 for no limit.
 const SILENCE: &str = "LUMISTACK_PLUGIN_SILENCE_S";
-/// Environment variable with the longest time to load a library, seconds; 0 for no limit.
+/// Environment variable: the longest time, in seconds, to load a library; 0 for no limit.
 const LOAD: &str = "LUMISTACK_PLUGIN_LOAD_S";
 
 /// The program that a child process runs, which calls [`plugin_child`](crate::plugin_child). The

@@ -38,7 +38,7 @@ const CREATE_NEW_PROCESS_GROUP: u32 = 0x200;
 
 /// The reason why a call did not complete.
 pub(super) enum Stopped {
-    /// The user cancelled; the child was ended if it did not end itself.
+    /// The user cancelled. The call did not end in time, so the child was killed.
     Cancelled,
     /// The child ended or was ended, for this reason.
     Died(String),

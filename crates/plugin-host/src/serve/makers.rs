@@ -120,8 +120,8 @@ pub fn make_stack<S: Services>(
     let display = node.display;
     let display_json = display_json(display)?;
     let lent = Lent::for_node(node)?;
-    // Make a sink that collects planes in a builder. The builder also records the planes that it
-    // has received.
+    // Make a sink that collects planes in a builder. The builder also records which planes have
+    // arrived.
     let stack = LayerStack::filled(display, 0.0);
     let frames = stack.frames();
     let bins = stack.emission.as_ref().map_or([0, 0], |emission| [emission.shape()[1], emission.shape()[2]]);

@@ -38,7 +38,7 @@ fn presented(
     presented_with(registry, id, stack, input, cancel, &|| {})
 }
 
-/// As [`presented`]; calls `on_event` at each event.
+/// Runs a presentation as [`presented`] does, and calls `on_event` at each event.
 fn presented_with(
     registry: &Registry,
     id: &str,

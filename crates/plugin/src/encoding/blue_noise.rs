@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     /// Returns the mean power of a pattern in bands of spatial frequency. Entry i belongs to the
-    /// band around (i + 1)/64 cycles per pixel. The mean of the pattern must be 0.
+    /// band around (i + 1)/64 cycles per pixel. The mean of the pattern is in no band.
     fn radial_power(values: &[f64]) -> Vec<f64> {
         let side = BLUE_NOISE_SIDE;
         let turn = |k: usize, x: usize| -TAU * ((k * x) % side) as f64 / side as f64;

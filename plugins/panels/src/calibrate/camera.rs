@@ -15,7 +15,7 @@ pub struct Camera {
     unit_px: f64,
 }
 
-/// Largest number of iterations. The fit ends earlier if an iteration brings no improvement.
+/// Largest number of iterations. The fit ends earlier if an iteration brings nearly no improvement.
 const STEPS: usize = 60;
 /// Number of fixed-point iterations that remove the distortion. For the distortion of real lenses,
 /// each iteration at least halves the error.

@@ -18,8 +18,8 @@ pub struct Cross {
     pub at_px: [f64; 2],
 }
 
-/// Smallest darkness of a component's pixels, as a fraction of the largest darkness in the
-/// photograph.
+/// Smallest darkness of a component's pixels, as a fraction of the 99.9 % quantile of the
+/// photograph's darkness.
 const DARK: f32 = 0.4;
 /// Smallest number of pixels of a component.
 const MIN_PIXELS: usize = 12;
@@ -114,7 +114,7 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
                 continue;
             }
             // Extrapolate from the neighbour on the opposite side, if it is known. Otherwise use
-            // the mean step.
+            // the step computed from the usual size of a cross.
             let back = found.get(&[index[0] - direction[0], index[1] - direction[1]]);
             let expected = back
                 .map_or([here[0] + step * f64::from(direction[0]), here[1] - step * f64::from(direction[1])], |back| {

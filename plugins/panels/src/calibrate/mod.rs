@@ -76,9 +76,9 @@ const FEWEST: usize = 9;
 /// Largest reprojection error with which a photograph is accepted, pixels of the photograph.
 const ROUGH_PX: f64 = 3.0;
 
-/// Calibrates the panels of all layers except the reference layer, each from one photograph.
-/// `eye_mm` is the camera's position in display space, for which the array was drawn. Returns the
-/// fitted camera and one result per layer.
+/// Calibrates the panels of the layers in `others`, each from one photograph. `eye_mm` is the
+/// camera's position in display space, for which the array was drawn. Returns the camera fitted to
+/// the photograph of `reference`, and one result per layer in `others`.
 ///
 /// # Errors
 /// If a photograph does not show the array, or the camera model does not fit its crosses.

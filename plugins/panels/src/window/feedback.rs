@@ -1,9 +1,9 @@
 //! Collects presentation times by Wayland's presentation-time protocol.
 //!
-//! A request is sent before each commit of a surface. The answer comes some refreshes later. It is
-//! the time at which the frame was presented, or states that the frame was discarded. Answers
-//! arrive in a separate queue. The main thread reads the connection whenever data arrive, so no
-//! function of this file blocks.
+//! A request is sent before each commit of a surface. The answer comes some refreshes later. It
+//! states the time at which the frame was presented, or that the frame was discarded. Answers
+//! arrive in a separate queue. The main thread reads the connection whenever data arrive, so only
+//! [`Feedback::new`] blocks.
 
 use wayland_client::protocol::wl_registry::{self, WlRegistry};
 use wayland_client::protocol::wl_surface::WlSurface;

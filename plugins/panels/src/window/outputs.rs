@@ -4,11 +4,11 @@
 //! reach winit through Xlib, and Xlib drops events of extensions that it did not initialize.
 //! Therefore a second connection queries the X server.
 //!
-//! X11 sends keys to the focused window. If the focus is the root window or no window, X11 sends
-//! keys to the window under the pointer, and winit drops these keys. A window manager focuses new
-//! windows. Without a window manager no client sets the focus. When a client exits, the focus
-//! reverts to the window that the client requested. For winit's fullscreen windows this is the root
-//! window.
+//! X11 sends keys to the focused window. If the focus is the root window, X11 sends keys to the
+//! window under the pointer, and winit drops these keys. If no window has the focus, X11 drops all
+//! keys. A window manager focuses new windows. Without a window manager no client sets the focus.
+//! When a client exits, the focus reverts to the window that the client requested. For winit's
+//! fullscreen windows this is the root window.
 
 use winit::application::ApplicationHandler;
 use winit::event::WindowEvent;
