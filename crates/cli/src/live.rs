@@ -77,7 +77,7 @@ pub(crate) struct Live {
     pub(crate) show: Option<String>,
     /// Largest number of iterations from one shown state to the next. An iteration updates every
     /// layer once, and a directional backlight, if there is one. The number is reduced if the
-    /// iterations would take longer than 0.3 s
+    /// iterations would take longer than 0.3 s. --iterations has no effect on a live display
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub(crate) updates: u32,
     /// Read the input as a video: a folder of light fields, one per time step, in the order of

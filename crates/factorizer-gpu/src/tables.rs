@@ -108,8 +108,8 @@ impl Tables {
         at as u32
     }
 
-    /// Appends a list for every view and every line (or column) of a factor. It has the rays that
-    /// read the line, each with its weight. Before the lists, appends a table of their offsets.
+    /// Appends a table of offsets, then one list for each view and each line (or column) of a
+    /// factor. Each list contains the rays that read its line, with their weights.
     fn readers(&mut self, views: usize, places: usize, taps: impl Fn(usize) -> Vec<(usize, Tap)>) -> u32 {
         let at = self.words.len();
         self.words.resize(at + views * (places + 1), 0);

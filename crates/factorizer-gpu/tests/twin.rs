@@ -31,9 +31,9 @@ const SUM_TOLERANCE: f64 = 1e-5;
 /// Rounding decides a value with less influence.
 const DETERMINED: f32 = 0.1;
 /// Number of iterations whose updates are compared one by one.
-const ROUNDS: usize = 4;
+const COMPARED_ITERATIONS: usize = 4;
 /// Number of iterations of a whole run.
-const UPDATES: usize = 10;
+const ITERATIONS: usize = 10;
 /// Seed of the random problems. Both tests that compare updates use it, so that they share compiled
 /// shaders.
 const SEED: u64 = 4;
@@ -119,7 +119,7 @@ fn own_runs(kind: Kind, name: &str, start: &LayerStack) -> Vec<(LayerStack, f64)
         for view in owned.target.geometry().grid.clone().iter() {
             nudge(owned.target.view_mut(view), &mut state);
         }
-        run(solver(name).unwrap(), &owned.problem(), &start, UPDATES)
+        run(solver(name).unwrap(), &owned.problem(), &start, ITERATIONS)
     };
     (1..=NUDGES).map(own_run).collect()
 }
@@ -166,7 +166,7 @@ fn one_update_equals_the_processors() {
                 executor.begin(Begin { plan, display, ranges, factors: factors.to_vec(), tries_local }).unwrap()
             };
             let each = factors.len();
-            for (round, n) in (0..ROUNDS * each).map(|at| (at / each, at % each)) {
+            for (round, n) in (0..COMPARED_ITERATIONS * each).map(|at| (at / each, at % each)) {
                 let what = format!("{kind:?} {name}, round {round}, factor {n}");
                 // in every second round the block-exact rule extrapolates, and every rule takes the
                 // curvature at the current point where L̃ is not linear
@@ -238,7 +238,7 @@ fn ten_updates_equal_the_processors() {
             let what = format!("{kind:?} {name}");
             let on_device = device.solver(name).unwrap();
             let [(expected, objective), (found, value)] = [solver(name).unwrap(), &on_device]
-                .map(|solver: &dyn Solver| run(solver, &owned.problem(), &start, UPDATES));
+                .map(|solver: &dyn Solver| run(solver, &owned.problem(), &start, ITERATIONS));
             let (expected, found) = (emissions(&owned, &expected), emissions(&owned, &found));
             let emitted = largest(&expected, &found);
             // if they differ, the processor's own runs must differ by a similar amount

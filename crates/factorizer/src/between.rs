@@ -68,7 +68,8 @@ pub(crate) struct Scratch {
     spare: Spare,
     /// For each row of rays, the share of the row's sums that the next line gets.
     t: Vec<f32>,
-    /// For every view column that has valid rays, the shares that pixels get from these rays.
+    /// For every view column that has valid rays, the roots of the shares that pixels get from
+    /// these rays.
     shares: Vec<ColumnShares>,
     /// Copies of the lines that a row of rays reads. If the rays read between two lines of a
     /// factor, the copy is a mixture of the two lines.
@@ -131,7 +132,8 @@ fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     (0..plan.maps.len()).map(of).collect()
 }
 
-/// Returns, for every view column that has valid rays, the shares that pixels get from these rays.
+/// Returns, for every view column that has valid rays, the roots of the shares that pixels get from
+/// these rays.
 fn shares(plan: &Plan, n: usize) -> Vec<ColumnShares> {
     let map = &plan.maps[n];
     let (pad, cols) = (map.layout.pad as isize, map.layout.cols());

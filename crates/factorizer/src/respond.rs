@@ -95,7 +95,7 @@ pub(crate) struct StepLine<'a, 'b> {
 }
 
 impl StepLine<'_, '_> {
-    /// Copies the line's sums from the planes and steps its pixels.
+    /// Copies the line's sums from the planes, and updates the line's pixels.
     pub(crate) fn update(self) -> Outcome {
         let Self { adjoint, channel, line, mut step, functions, block, sums } = self;
         let columns = step.columns.clone();

@@ -256,7 +256,8 @@ fn pitch(
     Ok(width_mm / cols)
 }
 
-/// Returns the slopes along x and along y, and true if the slopes come from the cameras.
+/// Returns the slopes along x and along y. Also returns true if the cameras' own slopes are used on
+/// at least one axis.
 fn slopes(
     path: &Path,
     flags: &GeometryFlags,

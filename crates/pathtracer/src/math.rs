@@ -93,7 +93,8 @@ mod tests {
                 // a square around the centre becomes a circle, whose radius is the larger of |a|
                 // and |b|
                 assert!((x.hypot(y) - a.abs().max(b.abs())).abs() < 1e-5, "{u:?}");
-                // an eighth of the square becomes an eighth of the disc, so angles are proportional
+                // Each eighth of the square becomes an eighth of the disc. In it, the angle is
+                // proportional to the ratio of the coordinates.
                 let turn = |x: f32, y: f32| f64::from(y).atan2(f64::from(x));
                 let expected = if a.abs() > b.abs() {
                     std::f64::consts::FRAC_PI_4 * f64::from(b / a) + if a < 0.0 { std::f64::consts::PI } else { 0.0 }

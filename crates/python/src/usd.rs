@@ -58,7 +58,7 @@ pub(crate) fn is_stage(object: &Bound<'_, PyAny>) -> bool {
 
 /// Traverses a stage of the caller, or a file.
 pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path, pose: &PoseJob) -> PyResult<Walked> {
-    // Refuse settings that have no effect on USD.
+    // Refuse settings that have no effect on this stage or file.
     if stage.is_some() && !pose.variants.is_empty() {
         let message = "variants: expected none with a stage, since the stage's own selections are used, found some";
         return Err(setting(py, message));

@@ -7,7 +7,7 @@ mod shown;
 
 use lumistack_core::Task;
 use lumistack_core::metrics::Mean;
-use lumistack_display::{EmittedView, LightField, RayMap, ViewGrid, Weights};
+use lumistack_display::{LightField, RayMap, ViewGrid, Weights};
 
 pub(crate) use names::{left_to_right, outstanding_views, top_to_bottom};
 pub(crate) use score::{FieldScore, Judge, ViewFigures, counting};
@@ -58,10 +58,9 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let judge = Judge::new(input);
     let mut sheets = SheetPair::new(input.target.geometry());
     let keep = outstanding_views(grid);
-    let geometry = input.target.geometry();
+    let (target, mut shown) = field(&judge, input.target, input.weights, &keep, task)?;
     // The section "Look around" shows seen pictures instead of the emission along rays.
-    let mut place = |view, _: &EmittedView| sheets.place(view, input, &judge.simulator.seen(geometry, view));
-    let (target, mut shown) = field(&judge, input.target, input.weights, &keep, task, &mut place)?;
+    sheets.fill(input, &judge.simulator, task)?;
     if let Some(worst) = target.worst_view().filter(|worst| !keep.contains(worst)) {
         let map = RayMap::new(input.display, &target.geometry);
         let emitted = judge.simulator.view(&map, &target.geometry, worst);
@@ -78,7 +77,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {
             let keep = names::sample_views(&given.geometry().grid);
-            let (score, views) = field(&judge, given, &Weights::Uniform, &keep, task, &mut |_, _| {})?;
+            let (score, views) = field(&judge, given, &Weights::Uniform, &keep, task)?;
             shown.extend(views);
             return Ok(Some(score));
         }
@@ -100,7 +99,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
         Some(median) => shown[median].compare(other_amplification, headline_shrunk, 1)?,
         None => shown[0].compare(amplification, headline_shrunk, 1)?,
     };
-    let rows = shown.iter().enumerate().map(|(i, view)| {
+    let rows = shown.par_iter().enumerate().map(|(i, view)| {
         let amplification = if i < targets { amplification } else { other_amplification };
         view.compare(amplification, rows_shrunk, shown.len())
     });
@@ -142,11 +141,9 @@ fn field(
     weights: &Weights,
     keep: &[[usize; 2]],
     task: Task,
-    each: &mut dyn FnMut([usize; 2], &EmittedView),
 ) -> Result<(FieldScore, Vec<Shown>), ReportError> {
     let mut kept: Vec<Option<Shown>> = keep.iter().map(|_| None).collect();
     let score = judge.field(field, weights, task, |view, figures, emitted| {
-        each(view, &emitted);
         if let Some(place) = keep.iter().position(|kept| *kept == view) {
             let (geometry, target) = (field.geometry(), field.view(view));
             kept[place] = Some(Shown::new(judge.input, geometry, target, weights, view, figures, emitted));

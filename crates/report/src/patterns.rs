@@ -6,6 +6,7 @@ mod place;
 use lumistack_core::metrics::percentile;
 use lumistack_core::{Task, Tensor};
 use lumistack_display::LayerStack;
+use rayon::prelude::*;
 
 use crate::picture::{self, Embedded, Encoding, Linear};
 use crate::{ReportError, ReportInput};
@@ -108,7 +109,7 @@ pub(crate) fn encode(input: &ReportInput, task: Task) -> Result<Patterns, Report
         _ => None,
     };
     let windows = place::on_layers(input.display, &stack.layers);
-    let layers = stack.layers.iter().enumerate().map(|(n, layer)| {
+    let layers = stack.layers.par_iter().enumerate().map(|(n, layer)| {
         let window = windows.as_ref().map(|windows| windows[n]);
         encode_sheet(layer, window, frame, large, task)
     });
@@ -129,19 +130,20 @@ fn encode_sheet(
     task: Task,
 ) -> Result<Sheet, ReportError> {
     let [frames, rows, cols, _] = layer.shape();
-    // One loop over the frames makes their pictures, and sums for the mean and the standard
-    // deviation.
-    let (mut sum, mut squares) = (vec![0.0f32; rows * cols * 3], vec![0.0f32; rows * cols * 3]);
-    let mut pictures = Vec::with_capacity(frames);
-    for frame in 0..frames {
+    let pictures = (0..frames).into_par_iter().map(|frame| {
         task.cancel.check()?;
-        let values = layer.block([frame]);
-        for ((sum, square), value) in sum.iter_mut().zip(&mut squares).zip(values) {
+        let picture = frame_size.embed(&Linear::new(rows, cols, layer.block([frame]), 1.0))?;
+        task.progress.advance(1, "");
+        Ok(picture)
+    });
+    let pictures = pictures.collect::<Result<_, ReportError>>()?;
+    // sum over the frames for their mean and standard deviation
+    let (mut sum, mut squares) = (vec![0.0f32; rows * cols * 3], vec![0.0f32; rows * cols * 3]);
+    for frame in 0..frames {
+        for ((sum, square), value) in sum.iter_mut().zip(&mut squares).zip(layer.block([frame])) {
             *sum += value / frames as f32;
             *square += value * value / frames as f32;
         }
-        pictures.push(frame_size.embed(&Linear::new(rows, cols, values, 1.0))?);
-        task.progress.advance(1, "");
     }
     let mean = Linear { rows, cols, data: sum };
     let change = (frames > 1).then(|| {
@@ -179,7 +181,7 @@ fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp,
         window,
         stretch,
         mean: (frames > 1).then(|| embed(&part(mean))).transpose()?,
-        frames: parts.iter().map(embed).collect::<Result<_, _>>()?,
+        frames: parts.par_iter().map(embed).collect::<Result<_, _>>()?,
     })
 }
 

@@ -35,7 +35,8 @@ pub(crate) fn convergence(history: &[Iteration], axis: &Axis) -> Result<Option<S
     Ok(Some(page::line(&points, [axis.label, "psnr_view, dB"])?))
 }
 
-/// Draws a line of decibels through at least one finite point.
+/// Draws values as a line, with the labels of both axes. `points` has at least one point, and all
+/// points are finite.
 ///
 /// # Errors
 /// If the plot cannot be drawn.

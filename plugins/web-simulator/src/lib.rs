@@ -27,6 +27,8 @@ use lumistack_plugin::{
     Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, StackInput, Time, export_plugin, serde_json,
 };
 
+use rayon::prelude::*;
+
 use page::{About, Site};
 use pictures::{Rounding, emission_picture, layer_picture, png_of, target_codes};
 use poster::{AROUND, POSTER, Poster};
@@ -162,14 +164,24 @@ impl OutputPlugin for WebSimulator {
         } else {
             None
         };
-        for view in targets {
+        // Write views of the target. The host passes one view at a time, so some views are fetched,
+        // and then encoded in parallel.
+        for some in targets.chunks(rayon::current_num_threads()) {
             self.host.check_cancelled()?;
-            let Some(plane) = stack.target_view([places[0][view[0]], places[1][view[1]]])? else { continue };
-            let picture = target_codes(&plane);
-            let path = format!("stack/target_{:02}_{:02}.png", view[0], view[1]);
-            let entry = json!({"kind": "target", "view": view});
-            files.push(site.picture(&path, entry, &picture, &png_of(&picture)?)?);
-            stage.advance(1, "");
+            let mut views = Vec::with_capacity(some.len());
+            for &view in some {
+                let plane = stack.target_view([places[0][view[0]], places[1][view[1]]])?;
+                views.extend(plane.map(|plane| (view, plane.to_vec(), [plane.rows(), plane.cols()])));
+            }
+            let encoded = views.into_par_iter().map(|(view, values, size)| {
+                let picture = target_codes(&values, size);
+                png_of(&picture).map(|png| (view, picture, png))
+            });
+            for (view, picture, png) in encoded.collect::<Result<Vec<_>, _>>()? {
+                let path = format!("stack/target_{:02}_{:02}.png", view[0], view[1]);
+                files.push(site.picture(&path, json!({"kind": "target", "view": view}), &picture, &png)?);
+                stage.advance(1, "");
+            }
         }
         // Write preview.json and the page.
         let rounding_db = rounding.psnr();

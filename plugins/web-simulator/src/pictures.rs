@@ -44,10 +44,9 @@ pub(crate) fn emission_picture(
     Ok((Picture { rows: bins_y * rows, cols: bins_x * cols, codes }, exact))
 }
 
-/// Encodes a view of the target as sRGB.
-pub(crate) fn target_codes(plane: &PlaneView<'_>) -> Picture {
-    let codes = plane.to_vec().into_iter().map(srgb_code).collect();
-    Picture { rows: plane.rows(), cols: plane.cols(), codes }
+/// Encodes a view of the target, `[row][col][rgb]` and linear, as sRGB.
+pub(crate) fn target_codes(values: &[f32], [rows, cols]: [usize; 2]) -> Picture {
+    Picture { rows, cols, codes: values.iter().map(|value| srgb_code(*value)).collect() }
 }
 
 /// Encodes a picture as PNG.

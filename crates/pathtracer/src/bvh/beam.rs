@@ -299,8 +299,9 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// Tests all rays against a triangle, with the arithmetic of the test of one ray against eight
-    /// triangles. Returns true if the triangle becomes the nearest hit of any ray.
+    /// Tests all rays against one triangle. The arithmetic is the same as in the test of a single
+    /// ray, so the hits are equal bit for bit. Returns true if the triangle becomes the nearest hit
+    /// of any ray.
     #[inline(always)]
     unsafe fn intersect(&mut self, block: &Block, lane: usize, accept: &mut impl FnMut(usize, &Hit) -> bool) -> bool {
         unsafe {

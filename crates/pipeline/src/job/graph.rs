@@ -74,8 +74,7 @@ pub struct NodeJob {
 }
 
 impl NodeJob {
-    /// Id of the node plugin that is the built-in factorizer. Its parameters are the table
-    /// `factorize`.
+    /// Name of the built-in factorizer as a node of a job. Its parameters are the table `factorize`.
     pub const TENSOR_DISPLAY: &'static str = "tensor-display";
 }
 

@@ -74,8 +74,11 @@ impl KeyBuilder {
     }
 
     fn add_values(&mut self, values: &[f32]) -> &mut Self {
-        let mut buffer = Vec::with_capacity(4 * 4096);
-        for chunk in values.chunks(4096) {
+        // Long pieces of data are hashed by wide vectors. With pieces of 16 KB, blocks were hashed
+        // one by one.
+        const PIECE: usize = 1 << 18;
+        let mut buffer = Vec::with_capacity(4 * PIECE.min(values.len()));
+        for chunk in values.chunks(PIECE) {
             buffer.clear();
             bytes::append(&mut buffer, chunk);
             self.0.update(&buffer);

@@ -1,6 +1,8 @@
 //! Arranges all views in one picture, for the section "Look around" of the page.
 
-use lumistack_display::{FieldGeometry, SeenView, ViewGrid};
+use lumistack_core::Task;
+use lumistack_display::{FieldGeometry, Simulator, ViewGrid};
+use rayon::prelude::*;
 
 use super::names::{left_to_right, top_to_bottom};
 use crate::picture::{self, Embedded, Encoding, Linear, Picture};
@@ -48,15 +50,32 @@ impl SheetPair {
         }
     }
 
-    pub(super) fn place(&mut self, view: [usize; 2], input: &ReportInput, seen: &SeenView) {
+    /// Adds all views of the target, and the seen pictures in their directions.
+    pub(super) fn fill(&mut self, input: &ReportInput, simulator: &Simulator, task: Task) -> Result<(), ReportError> {
         let geometry = input.target.geometry();
-        let scale = (1.0 / input.stack.brightness) as f32;
+        let (factor, scale) = (self.factor, (1.0 / input.stack.brightness) as f32);
+        let tile =
+            |values: &[f32], scale| Linear::new(geometry.rows, geometry.cols, values, scale).shrunk(factor).encoded();
+        let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
+        for together in views.chunks(rayon::current_num_threads()) {
+            task.cancel.check()?;
+            let both = |&view: &[usize; 2]| {
+                let seen = simulator.seen(geometry, view);
+                [tile(input.target.view(view), 1.0), tile(seen.radiance.data(), scale)]
+            };
+            let tiles: Vec<_> = together.par_iter().map(both).collect();
+            for (&view, tiles) in together.iter().zip(&tiles) {
+                self.place(view, tiles);
+            }
+        }
+        Ok(())
+    }
+
+    /// Copies the tiles of a view, target and simulated, to their place on the sheets.
+    fn place(&mut self, view: [usize; 2], tiles: &[Picture; 2]) {
         let rank = |order: &[usize], index: usize| order.iter().position(|i| *i == index).unwrap_or(0);
         let (y, x) = (rank(&self.down, view[0]), rank(&self.across, view[1]));
-        for (sheet, values, scale) in
-            [(&mut self.target, input.target.view(view), 1.0), (&mut self.simulated, seen.radiance.data(), scale)]
-        {
-            let tile = Linear::new(geometry.rows, geometry.cols, values, scale).shrunk(self.factor).encoded();
+        for (sheet, tile) in [&mut self.target, &mut self.simulated].into_iter().zip(tiles) {
             for (row, line) in tile.rgb.chunks_exact(tile.cols * 3).enumerate() {
                 let start = ((y * tile.rows + row) * sheet.cols + x * tile.cols) * 3;
                 sheet.rgb[start..start + line.len()].copy_from_slice(line);
