@@ -179,7 +179,7 @@ typedef int32_t LumistackStatus;
  */
 #define LUMISTACK_STATUS_FAILED 1
 /**
- * The call stopped because the host cancelled; it implies nothing about the input.
+ * The call stopped because the host cancelled. The input may be valid or invalid.
  */
 #define LUMISTACK_STATUS_CANCELLED 2
 /**
@@ -389,8 +389,8 @@ typedef struct LumistackHostServices {
    */
   void (*progress_end)(const void *context);
   /**
-   * Returns nonzero once the user cancelled. Long work calls this function often. After a
-   * nonzero result it returns `Status::CANCELLED`.
+   * Returns nonzero once the user cancelled. A plugin calls this function often during long
+   * work. After a nonzero result the plugin returns `Status::CANCELLED`.
    */
   uint8_t (*is_cancelled)(const void *context);
   /**
@@ -450,8 +450,8 @@ typedef struct LumistackTime {
    */
   size_t size;
   /**
-   * Number of the time step. For outputs and nodes the first number is 0, also of a still. For a
-   * source the job sets the first number.
+   * Number of the time step. For outputs and nodes the first number is 0; a still has the number
+   * 0. For a source the job sets the first number.
    */
   uint64_t index;
   /**
