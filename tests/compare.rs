@@ -174,7 +174,7 @@ fn all_displays_of_a_run_stand_side_by_side() {
     assert!(printed.contains("three-layers") && printed.contains("1 frame, β = 0.20"), "{printed}");
     let pictures = ["--focus", "0", "-o", "pictures"];
     let text = fail(lumistack().current_dir(folder.path()).arg("compare").arg(&run).args(pictures));
-    assert!(text.contains("--focus") && text.contains("expected two runs"), "{text}");
+    assert!(text.contains("--focus") && text.contains("expected two run folders"), "{text}");
     assert!(!folder.path().join("pictures").exists());
     let text = fail(lumistack().arg("compare").arg(run.join("nodes/static")));
     assert!(text.contains("job.toml"), "{text}");

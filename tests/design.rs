@@ -142,7 +142,7 @@ fn analyze_reports_draws_and_refuses() {
     assert!(closed["difference_far"].as_f64().unwrap() > 0.5, "{closed}");
     let scene = root().join("scenes/letters/letters.gltf");
     let printed = succeed(lumistack().args(["analyze", "fig7-uniform", "--scene"]).arg(scene));
-    assert!(printed.contains("of what is seen lies in the depth of field"), "{printed}");
+    assert!(printed.contains("of the visible surfaces lie in the depth of field"), "{printed}");
     let text = fail(lumistack().args(["analyze", "fig7-uniforn"]));
     assert!(text.contains("did you mean `fig7-uniform`?"), "{text}");
 }

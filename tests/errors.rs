@@ -373,7 +373,7 @@ fn a_plan_has_the_errors_of_a_run() {
         fail(lumistack().arg("run").arg(scene).args(["--plan", "--display", "paper-three-layer"]).args(options))
     };
     let cases: [(&Path, &[&str], &[&str]); 4] = [
-        (&scene, &["--camera", "9"], &["window.camera: expected one of the scene's cameras", "found 9"]),
+        (&scene, &["--camera", "9"], &["window.camera: expected a camera's name", "found 9"]),
         (&scene, &["--device", "gpu:"], &["command line: factorize.device: expected", "found `gpu:`"]),
         (&scene, &["--solver", "foo"], &["command line: factorize.solver: expected one of auto", "found foo"]),
         (&nameless, &[], &["expected a file with the extension .gltf", "found no extension"]),
@@ -391,14 +391,14 @@ fn a_preview_needs_a_run() {
     let folder = tempfile::tempdir().unwrap();
     let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));
     assert!(
-        text.contains("expected a run or a preview, found neither stack/preview.json nor layers/stack.json"),
+        text.contains("expected the folder of a run or of a preview, found a folder with neither stack/preview.json nor layers/stack.json"),
         "{text}"
     );
     std::fs::create_dir(folder.path().join("t0001")).unwrap();
     let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));
-    assert!(text.contains("t0001: folder: expected a run or a preview"), "{text}");
+    assert!(text.contains("t0001: folder: expected the folder of a run or of a preview"), "{text}");
     let text = fail(lumistack().arg("preview").arg(folder.path().join("nothing")).arg("--no-open"));
-    assert!(text.contains("nothing: folder: expected a run or a preview"), "{text}");
+    assert!(text.contains("nothing: folder: expected the folder of a run or of a preview"), "{text}");
     // no server is started for a run with damaged patterns
     std::fs::create_dir(folder.path().join("layers")).unwrap();
     std::fs::write(folder.path().join("layers/stack.json"), "{").unwrap();

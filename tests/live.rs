@@ -222,7 +222,7 @@ fn errors_of_the_start_end_it_with_one_message() {
         fail(command.args(["live", "--no-open"]).arg(&job).arg("-o").arg(folder.path().join("run")).args(options))
     };
     for (options, message) in [
-        (&["--show", "span", "--mouse"][..], "`window`, which has a pointer"),
+        (&["--show", "span", "--mouse"][..], "`window`, since only the window has a mouse pointer"),
         (&["--head-mm", "0,0,-5"], "--head-mm: Z: expected a number above 0, found -5"),
         (&["--device", "gpu:no such adapter"], if cfg!(feature = "gpu") { "no such adapter" } else { "feature `gpu`" }),
         (&["--solver", "none"], "none"),
@@ -312,7 +312,7 @@ fn another_program_attaches_by_a_token_and_leaves_the_display_running() {
     for wrong in ["{\"token\": \"0\"}\n", "{\"stop\": true}\n", "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", "\n"] {
         let mut stranger = Attached::connect(&run, wrong);
         let refused = stranger.next().unwrap();
-        assert!(refused["message"].as_str().unwrap().starts_with("token: expected a first line"), "{refused}");
+        assert!(refused["message"].as_str().unwrap().starts_with("token: expected the first line"), "{refused}");
         assert_eq!(stranger.next(), None, "{wrong}");
     }
 

@@ -79,7 +79,10 @@ fn a_sequence_counts_the_times_of_a_source() {
         fail(lumistack().arg("run").arg(&job).arg("-o").arg(folder.path().join("wrong")))
     };
     assert!(error("[sequence]\n").contains("sequence.times: expected the number of time steps"));
-    assert!(error("[sequence]\ntimes = 2\nturn_deg = 3.0\n").contains("for a scene only"));
+    assert!(
+        error("[sequence]\ntimes = 2\nturn_deg = 3.0\n")
+            .contains("a job with `scene` for the keys `turn_deg` and `shift_mm`")
+    );
     assert!(error("[pose]\ntime_s = 1.0\n").contains("pose: expected a job with `scene`"));
 }
 

@@ -100,10 +100,10 @@ fn lamps_that_miss_the_visible_side_are_supplemented() {
         })
     };
     let (said, _, [brightest, mean]) = render(folder.path(), &lit_from(-3.0), &[]);
-    assert!(said.contains("its own lamps leave almost all visible surfaces dark"), "{said}");
+    assert!(said.contains("the scene's own lamps leave almost all visible surfaces dark"), "{said}");
     assert!(brightest > 0.4 && mean > 0.1, "{brightest} {mean}");
     let (said, _, [_, mean]) = render(folder.path(), &lit_from(4.0), &[]);
-    assert!(!said.contains("its own lamps leave") && mean > 0.1, "{said} {mean}");
+    assert!(!said.contains("the scene's own lamps leave") && mean > 0.1, "{said} {mean}");
 }
 
 /// The studio light is visible only as a dark background, and not as a bright environment.
@@ -174,10 +174,10 @@ fn a_far_backdrop_does_not_draw_the_window_away() {
     // does not fit
     let (said, scale, inside) = depth(&with(396.0, Some(4.0)));
     assert!(scale == 1.0 && (0.15..0.3).contains(&inside), "{scale} {inside} {said}");
-    assert!(said.contains("it stays outside the depth of field") && !said.contains("Focus on Object"), "{said}");
+    assert!(said.contains("stay outside the depth of field") && !said.contains("Focus on Object"), "{said}");
     // a backdrop near the card causes neither message
     let (said, ..) = depth(&with(2.0, None));
-    assert!(!said.contains("Focus on Object") && !said.contains("it stays outside the depth of field"), "{said}");
+    assert!(!said.contains("Focus on Object") && !said.contains("stay outside the depth of field"), "{said}");
 }
 
 /// A run reports a camera and lights that the file lacks, and their replacements.

@@ -363,11 +363,11 @@ fn jobs() {
     check(&scene, "iterations = 3", &["sequence.times", "nothing"]);
     check(&scene, "times = 0", &["sequence.times", "1 to 9999", "0"]);
     check(&scene, "times = 2\nturn = 3", &["line 6", "turn", "turn_deg"]);
-    check(&input, "turn_deg = 3.0", &["sequence", "without a scene"]);
+    check(&input, "turn_deg = 3.0", &["sequence", "a job without `scene`"]);
     check(&input, "duration_s = 3.0", &["sequence", "duration_s", "light fields"]);
     check(&scene, "times = 2\nduration_s = inf", &["sequence.duration_s", "finite"]);
     check(&input, "[pose]\ntime_s = 1.0", &["pose", "only scenes have poses"]);
-    check(&scene, "times = 2\n[pose]\ntime_s = nan", &["pose.time_s", "a finite time"]);
+    check(&scene, "times = 2\n[pose]\ntime_s = nan", &["pose.time_s", "a finite number of seconds"]);
     check(&input, "times = 3", &["times", "at least 3 light fields", "found 2"]);
     check(&input.join("f8.npy"), "", &["f8.npy", "readable"]);
 }

@@ -55,7 +55,7 @@ fn choices_of_the_other_format_are_refused() {
     let text = format!("scene = {path:?}\n[display]\npreset = \"paper-three-layer\"\n[pose]\nvariants = [\"a=b\"]\n");
     std::fs::write(&job, text).unwrap();
     let text = fail(lumistack().arg("render").arg(&job).arg("-o").arg(folder.path().join("views")));
-    assert!(text.contains("pose.variants: expected none, since only USD has variant sets"), "{text}");
+    assert!(text.contains("pose.variants: expected no value, since only USD has variant sets"), "{text}");
     let mut usd = lumistack();
     usd.arg("render").arg(file(folder.path())).args(["--animation", "Walk", "-o"]).arg(folder.path().join("views"));
     assert!(fail(&mut usd).contains("pose.animation: expected no value, since a USD stage has only one timeline"));

@@ -40,7 +40,10 @@ fn a_scene_alone_becomes_a_preview_and_the_hint_works() {
     assert!(text.contains(&format!("Look into the display: {program} preview {}", out.display())), "{text}");
     let single =
         ["outputs", "tensor-display", "preview", "preview.html"].iter().fold(out.clone(), |at, name| at.join(name));
-    assert!(single.is_file() && text.contains(&format!("or open {} by a double click", single.display())), "{text}");
+    assert!(
+        single.is_file() && text.contains(&format!("or open the page {} by a double click", single.display())),
+        "{text}"
+    );
     let messages = report(&out)["warnings"].to_string();
     assert!(!messages.contains("flicker"), "these frames are not chosen for panels: {messages}");
     // if cargo started the program, the hint names the repository's alias
@@ -102,10 +105,10 @@ fn viewpoints_outside_the_zone_say_so() {
     let from = |flags: [&str; 2]| said(lumistack().arg("simulate").arg(&out).args(flags).arg("-o").arg(&picture));
     let text = from(["--view", "14,0"]);
     assert!(
-        text.contains("--view: this viewpoint sees all of the display from outside of its viewing zone of ±10° × ±10°"),
+        text.contains("--view: from this viewpoint, all of the display is seen from outside of the display's viewing zone of ±10° × ±10°"),
         "{text}"
     );
-    assert!(from(["--eye", "100,0,600"]).contains("--eye: this viewpoint sees "));
+    assert!(from(["--eye", "100,0,600"]).contains("--eye: from this viewpoint, "));
     // the viewpoints of the examples in the help text are inside the viewing zone
     let help = succeed(lumistack().args(["simulate", "--help"]));
     for flags in [["--view", "4,-2"], ["--eye", "100,0,2000"]] {
@@ -244,7 +247,7 @@ fn a_plan_is_printed_and_no_work_is_done() {
     let out = folder.path().join("run");
     let text = succeed(run(&scene, &out).arg("--plan"));
     assert!(!out.exists(), "a plan writes nothing");
-    for part in ["trace", "factorize", "output-preview", "not yet known", "0 of them cached; estimated "] {
+    for part in ["trace", "factorize", "output-preview", "not yet known", "number of cached steps: 0; estimated "] {
         assert!(text.contains(part), "{part} is missing:\n{text}");
     }
     succeed(&mut run(&scene, &out));

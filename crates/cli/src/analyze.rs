@@ -19,7 +19,7 @@ Examples:
   lumistack analyze paper-directional
       the limits of a built-in display
   lumistack analyze paper-three-layer paper-three-layer:layers=2 -o bounds
-      two displays in the same plots; the second display is the first one with two layers
+      two displays in the same plots; the second display is the first display with two layers
   lumistack analyze paper-three-layer --contrast -o bounds
       also the contrast that a solver reaches, compared with the limit
   lumistack analyze my.toml --scene model.glb
@@ -46,8 +46,8 @@ pub(crate) struct Analyze {
     #[command(flatten)]
     files: FileArgs,
     /// Largest distance from the display plane for which the depth of field is computed and
-    /// plotted, millimetres. The default is the largest of 20 mm, 3 × the layers' and lens array's
-    /// distances, 1.2 × the scene's depths, and 1.6 × the limits of the depth of field
+    /// plotted, millimetres. The default is at least 20 mm. It includes the layers, the lens array,
+    /// the scene and the depth of field, each with a margin
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Also compute patterns of every display for gratings (stripes of one frequency) at many
@@ -82,7 +82,7 @@ impl FromStr for Which {
             let (key, value) = part.split_once('=').ok_or_else(|| format!("expected KEY=VALUE, found `{part}`"))?;
             let wrong = || {
                 let expected =
-                    if matches!(key.trim(), "fov" | "lenslets") { "a pair such as 20x20" } else { "a number" };
+                    if matches!(key.trim(), "fov" | "lenslets") { "two numbers such as 20x20" } else { "a number" };
                 format!("{key}: expected {expected}, found `{value}`")
             };
             match key.trim() {
@@ -105,7 +105,7 @@ impl FromStr for Which {
 
 pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     if let Some(reach) = args.reach_mm.filter(|reach| !(reach.is_finite() && *reach > 0.0)) {
-        return Err(PipelineError::option("--reach-mm", "MM", "a depth above 0", reach.to_string()));
+        return Err(PipelineError::option("--reach-mm", "MM", "a distance above 0 in millimetres", reach.to_string()));
     }
     // Load every display, and place it in its scene.
     let (mut displays, mut scenes) = (Vec::new(), Vec::new());
@@ -209,7 +209,12 @@ fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
     let report: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
     let budget = &report["depth"];
     if budget["depth_histogram"].is_null() {
-        return Err(PipelineError::value(&path, "depth", "the depths of a rendered scene", "none"));
+        return Err(PipelineError::value(
+            &path,
+            "depth",
+            "the depths of a rendered scene",
+            "none, as in the report of a run without a scene",
+        ));
     }
     let title = report["title"].as_str().unwrap_or("the run");
     Ok(Scene::from_budget(budget, format!("the scene of {title}")))
@@ -250,11 +255,11 @@ fn achieved(found: &[Contrast]) -> [String; 3] {
     [
         line(
             "Achieved",
-            "half contrast (1: the finest detail of the pixels), solved for more views, seen from the whole zone",
+            "highest frequencies with at least half of the grating's contrast (1 stands for the finest detail of the pixels). Patterns for more views, seen from the whole zone",
             Achieved::WithMoreViews,
         ),
-        line("", "solved for its own views, seen from the whole zone", Achieved::InBetween),
-        line("", "solved for its own views, seen from these views alone", Achieved::AtTheViews),
+        line("", "patterns for the display's own views, seen from the whole zone", Achieved::InBetween),
+        line("", "patterns for the display's own views, seen from its own views alone", Achieved::AtTheViews),
     ]
 }
 

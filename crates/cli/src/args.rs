@@ -25,10 +25,10 @@ pub(crate) struct Args {
     /// logical core]
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
-    /// Use the plugins of a shared library, or of all such libraries in a folder. The name of a
-    /// library's file is `lumistack_plugin_NAME`, with the system's prefix and suffix. These
-    /// plugins take precedence over plugins with the same id in LUMISTACK_PLUGIN_PATH and in
-    /// lumistack/plugins of your data folder. The flag may be given several times
+    /// Use the plugins of a plugin library, or of all plugin libraries in a folder. The file of a
+    /// plugin library is named `lumistack_plugin_NAME`, with the system's prefix and suffix. The
+    /// plugins of this flag take precedence over plugins with the same id in LUMISTACK_PLUGIN_PATH
+    /// and in lumistack/plugins of your data folder. The flag may be given several times
     #[cfg(feature = "dynamic")]
     #[arg(long, global = true, value_name = "FILE|DIR")]
     pub(crate) plugin_path: Vec<PathBuf>,
@@ -64,7 +64,7 @@ pub(crate) enum Command {
     Simulate(Simulate),
     /// Show the display of a finished run in the browser, where you can look at it from all sides
     #[command(
-        after_help = "Examples:\n  lumistack preview runs/still-life\n      the display of this run\n  lumistack preview --solve\n      a page that computes patterns for a model, which you drop onto the page\n\nThe command opens the page in your browser. Other machines cannot open the page. When the run's patterns change, the page shows the new ones. A folder that the output plugin web_simulator wrote also works on any web server, and its file preview.html opens by a double click."
+        after_help = "Examples:\n  lumistack preview runs/still-life\n      the display of this run\n  lumistack preview --solve\n      a page that computes patterns for a model, which you drop onto the page\n\nThe command opens the page in your browser. Other machines cannot open the page. When the run's patterns change, the page shows the new patterns. A folder that the output plugin web_simulator wrote also works on any web server. The file preview.html in this folder opens by a double click."
     )]
     Preview(Preview),
     /// Report the limits that follow from the geometry of displays: depth of field, spectral
@@ -84,7 +84,7 @@ pub(crate) enum Command {
     Compare(crate::compare::Compare),
     /// Show a run on physical panels: each layer on its own panel, one frame after another
     #[command(
-        after_help = "Examples:\n  lumistack show --list\n      lists the outputs for panels\n  lumistack show runs/still-life\n      shows each layer on its output\n  lumistack show my-display.toml --pattern crosshairs --only 1\n      shows crosshairs on layer 1, to align a stack\n  lumistack show runs/still-life --preview\n      shows a preview in a window, without panels\n\nKeys: space holds the first frame, or resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, the arrows shift it, and s saves the shifts. r reports how many frames were late, and q ends. In a preview the arrows turn the view.\n\nIf the patterns of the run change, the new ones appear after the last frame of the current cycle. docs/PANELS.md explains how to build and calibrate a stack."
+        after_help = "Examples:\n  lumistack show --list\n      lists the outputs for panels\n  lumistack show runs/still-life\n      shows each layer on its output\n  lumistack show my-display.toml --pattern crosshairs --only 1\n      shows crosshairs on layer 1, to align a stack\n  lumistack show runs/still-life --preview\n      shows a preview in a window, without panels\n\nKeys: space holds the first frame, or resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, the arrows shift it, and s saves the shifts. r reports how many frames were late, and q ends. In a preview the arrows turn the view.\n\nIf the patterns of the run change, the new patterns appear after the last frame of the current cycle. docs/PANELS.md explains how to build and calibrate a stack."
     )]
     Show(Box<crate::show::Show>),
     /// Show a display, and update it while its scene, settings, time or viewers change
@@ -206,9 +206,9 @@ pub(crate) struct Render {
     /// albedo, variance, coverage
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Views")]
     pub(crate) layers: Vec<lumistack_pipeline::ExtraChannel>,
-    /// Render only some views. ROW and COL are the numbers in their file names view_ROW_COL.exr,
-    /// from 0. Each is a number, a range such as 0..2 (0, 1 and 2), or * for all. The flag may be
-    /// given several times
+    /// Render only some views. ROW and COL are the numbers, from 0, in the names view_ROW_COL.exr
+    /// of the views' files. Give for each a number, a range such as 0..2 (0, 1 and 2), or * for
+    /// all. The flag may be given several times
     #[arg(long, value_name = "ROW,COL", help_heading = "Views")]
     pub(crate) only_views: Vec<lumistack_pipeline::ViewSelection>,
     #[command(flatten)]
@@ -220,7 +220,7 @@ pub(crate) struct Render {
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Factorize {
     /// The views: a folder, a quilt, a picture of tiles or a .npy file. With --sequence, a folder
-    /// that contains such views for each time step
+    /// that contains the views of each time step
     pub(crate) light_field: PathBuf,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
@@ -236,8 +236,8 @@ pub(crate) struct Factorize {
     /// Seed of the random numbers; the same seed gives the same results [default: 1]
     #[arg(long)]
     pub(crate) seed: Option<u64>,
-    /// Read the folder LIGHT_FIELD as a sequence. It contains a folder, a .npy file or a quilt for
-    /// each time step, in the order of their names
+    /// Read the folder LIGHT_FIELD as a sequence. The folder contains a folder, a .npy file or a
+    /// quilt for each time step. The order of the names is the order of the time steps
     #[arg(long, help_heading = "Sequence")]
     pub(crate) sequence: bool,
     /// Number of iterations at every time step after the first [default: 5]
@@ -322,8 +322,8 @@ pub(crate) struct Info {
     /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing in
     /// two cases: if the scene fits; if the depth of field does not lie on both sides of the
     /// display. Otherwise auto moves the window, unless numbers in the job or a focus distance of
-    /// the camera place it. If the scene still does not fit, auto compresses depth, unless a depth
-    /// scale is given. `--fit-depth` without HOW means move [default: auto]
+    /// the camera place the window. If the scene still does not fit, auto compresses depth, unless
+    /// a depth scale is given. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

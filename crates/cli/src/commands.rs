@@ -23,8 +23,9 @@ use crate::values::size_text;
 /// Runs a command. `line` is the command line as typed; reports contain it.
 pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), PipelineError> {
     if let Some(threads) = args.threads {
-        set_threads(threads)
-            .map_err(|error| PipelineError::option("--threads", "N", "a number of threads that can start", error))?;
+        set_threads(threads).map_err(|error| {
+            PipelineError::option("--threads", "N", "a number of threads that the system can start", error)
+        })?;
     }
     // A command whose result is one document must print nothing else to standard output.
     let answers = matches!(args.command, Command::Info(_));
@@ -147,13 +148,20 @@ fn finish(
         }
         let times = sequence.times;
         let others =
-            [(", flicker", sequence.psnr_change), (", flicker where the target does not change", sequence.psnr_still)];
-        let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!("{name} {psnr:.1} dB")));
-        say!("PSNR {:.1} dB over {times} time steps{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
+            [("flicker", sequence.psnr_change), ("flicker where the target does not change", sequence.psnr_still)];
+        let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!("; {name} {psnr:.1} dB")));
+        say!(
+            "PSNR {:.1} dB over {times} time steps{}; time {:.0} s",
+            summary.psnr_view,
+            others.concat(),
+            summary.seconds
+        );
         let preview = format!("{} preview {}", program::name(), folder.display());
         say!("Look into the display at the first time step: {preview}");
         if times > 1 {
-            say!("at the last time step: {preview}/t{times:04}; any other time step has such a folder");
+            say!(
+                "Look into the display at the last time step: {preview}/t{times:04}; each time step has its own folder"
+            );
         }
         say!("{}", summary.report.display());
     } else if !summary.nodes.is_empty() {
@@ -161,24 +169,31 @@ fn finish(
             let zone = node.psnr_zone.map_or(String::new(), |psnr| format!("{psnr:.1} dB over the zone, "));
             say!("{}: PSNR {zone}{:.1} dB at the solver's views", node.id, node.psnr_view);
         }
-        say!("displays: {}; {:.0} s", summary.nodes.len(), summary.seconds);
+        say!("number of displays: {}; time {:.0} s", summary.nodes.len(), summary.seconds);
         say!("{}", summary.report.display());
     } else {
         let zone = match (summary.psnr_zone, summary.psnr_zone_worst) {
-            (Some(zone), Some(worst)) => format!("{zone:.1} dB over the zone (worst tenth {worst:.1}), "),
+            (Some(zone), Some(worst)) => {
+                format!("{zone:.1} dB over the zone (in the worst tenth of its directions {worst:.1} dB), ")
+            }
             _ => String::new(),
         };
-        let others = [("between them", summary.psnr_held_out), ("outside of them", summary.psnr_outside)];
-        let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!(", {name} {psnr:.1}")));
+        let others = [("between these views", summary.psnr_held_out), ("outside of these views", summary.psnr_outside)];
+        let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!(", {psnr:.1} dB {name}")));
         if let Some(sentence) = &summary.depth_sentence {
             say!("Depth: {sentence}");
         }
-        say!("PSNR {zone}{:.1} at the solver's views{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
+        say!(
+            "PSNR {zone}{:.1} dB at the solver's views{}; time {:.0} s",
+            summary.psnr_view,
+            others.concat(),
+            summary.seconds
+        );
         say!("Look into the display: {} preview {}", program::name(), folder.display());
         if let Some(single) = written_preview(folder).map(|preview| preview.join("preview.html"))
             && single.is_file()
         {
-            say!("or open {} by a double click", single.display());
+            say!("or open the page {} by a double click", single.display());
         }
         say!("{}", summary.report.display());
     }
@@ -204,8 +219,8 @@ fn clean_command(args: &Clean, json: bool, task: Task<'_>) -> Result<(), Pipelin
         }
         let (freed, kept) = (size_text(cleaned.bytes()), size_text(cleaned.kept_bytes));
         let done = if args.dry_run { "would be freed" } else { "freed" };
-        let hint = if args.all || cleaned.kept_bytes == 0 { "" } else { "; --all removes cached views, too" };
-        say!("{:>10}  {done} in {}; {kept} stay in its cache{hint}", freed, dir.display());
+        let hint = if args.all || cleaned.kept_bytes == 0 { "" } else { "; --all also removes cached views" };
+        say!("{:>10}  {done} in {}; {kept} of cached results stay there{hint}", freed, dir.display());
     }
     Ok(())
 }

@@ -27,7 +27,8 @@ Examples:
       simulation's
   lumistack compare runs/a photo.jpg --focal-35mm 28 \\
       --corners 210,160,1830,150,1850,1170,190,1180
-      the same, if the position of the camera is not known: it is computed from the corners
+      a run and a photograph from an unknown position, which the command computes from the
+      corners
   lumistack compare runs/a runs/b --focus -60,0,60 -o compared
       also pictures as seen by an eye that focuses behind, on and in front of the display";
 
@@ -47,7 +48,7 @@ pub(crate) struct Compare {
     /// display's centre: X to the right, Y up, Z to the front [default for --focus: 0,0,600]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     eye: Option<Numbers<3>>,
-    /// Focal length of the photograph's lens, as equivalent for 35-mm film, millimetres (EXIF:
+    /// Focal length of the photograph's lens, converted to 35-mm film, millimetres (in EXIF data
     /// FocalLengthIn35mmFilm). The position of the camera is then computed from the corners. The
     /// photograph must not be cropped
     #[arg(long = "focal-35mm", value_name = "MM", requires = "corners", conflicts_with_all = ["eye", "view"])]
@@ -76,8 +77,11 @@ const EYE_MM: [f64; 3] = [0.0, 0.0, 600.0];
 pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let out = args.output.as_deref();
     if !args.focus.is_empty() && !args.other.as_ref().is_some_and(|other| other.is_dir()) {
-        let found = args.other.as_ref().map_or("one run".into(), |other| format!("one run and {}", other.display()));
-        return Err(PipelineError::option("--focus", "LIST", "two runs, each a folder", found));
+        let found = args
+            .other
+            .as_ref()
+            .map_or("one run folder".into(), |other| format!("one run folder and {}", other.display()));
+        return Err(PipelineError::option("--focus", "LIST", "two run folders", found));
     }
     let Some(other) = &args.other else {
         return displays(args, json, task);
@@ -110,7 +114,7 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
     }
     for (name, zone) in [("First", &found.first_zone), ("Second", &found.second_zone)] {
         let text = zone.as_ref().map_or("not known".into(), |zone| {
-            format!("PSNR {:.2} dB, worst tenth {:.2} dB", zone.psnr_db, zone.worst_tenth_db)
+            format!("PSNR {:.2} dB, in the worst tenth of the directions {:.2} dB", zone.psnr_db, zone.worst_tenth_db)
         });
         say!("{:30} {text}", format!("{name} over its viewing zone:"));
     }
@@ -146,13 +150,17 @@ fn displays(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineEr
 
 fn print_photo(found: &PhotoComparison) {
     say!("Photograph against simulation: {}", text_of(&found.likeness));
-    say!("Scale of the photograph's brightness, to match: × {:.4} ({:+.2} stops)", found.gain, found.gain.log2());
+    say!(
+        "Factor that makes the photograph as bright as the simulation: {:.4} ({:+.2} stops)",
+        found.gain,
+        found.gain.log2()
+    );
     if let Some([x, y, z]) = found.eye_mm {
         let text = format!("Taken from: {x:.0} mm right, {y:.0} mm up, {z:.0} mm in front of the display's centre");
         say!("{}", text.replace('-', "−"));
     }
     if found.clipped > 0.0 {
-        say!("Clipped: {:.1} % of the display's pixels, which are not compared", 100.0 * found.clipped);
+        say!("Clipped in the photograph, and not compared: {:.1} % of the display's pixels", 100.0 * found.clipped);
     }
     found.pictures.iter().for_each(|path| say!("{}", path.display()));
 }

@@ -43,7 +43,7 @@ pub(crate) fn line(adapter: &Adapter) -> String {
     let Adapter { name, backend, kind, driver, buffer_bytes, .. } = adapter;
     let [buffer, binding] = buffer_bytes.map(|bytes| bytes >> 20);
     format!(
-        "{name}, {kind}, {backend}, {driver}; buffers up to {buffer} MiB, of which a shader reads up to {binding} MiB"
+        "{name}, {kind}, {backend}, {driver}; a buffer has up to {buffer} MiB, and a shader reads up to {binding} MiB of it"
     )
 }
 
@@ -70,11 +70,11 @@ pub(crate) fn run(as_json: bool) -> Result<(), PipelineError> {
         say!("{} {}", if first == Some(index) { "*" } else { " " }, line(adapter));
     }
     match (&adapters, first) {
-        (Err(why), _) => say!("cpu: {why}; the processor solves"),
+        (Err(why), _) => say!("{why}; the processor computes the patterns"),
         (Ok(_), None) => {
             say!("no graphics processor with Vulkan, Metal or Direct3D 12: `--device auto` uses the processor")
         }
-        (Ok(_), Some(_)) => say!("`--device auto` uses the adapter after the *"),
+        (Ok(_), Some(_)) => say!("`--device auto` uses the graphics processor that is marked with *"),
     }
     Ok(())
 }

@@ -146,7 +146,7 @@ type Known = (String, [usize; 2], Option<f64>);
 fn system_outputs() -> Result<Vec<Known>, String> {
     let outputs = lumistack_plugin_panels::window::outputs().map_err(|error| error.to_string())?;
     let known: Vec<Known> = outputs.into_iter().map(|output| (output.name, output.size, output.refresh_hz)).collect();
-    if known.is_empty() { Err("found no outputs: no monitor is on".into()) } else { Ok(known) }
+    if known.is_empty() { Err("expected outputs for panels, found none: no monitor is on".into()) } else { Ok(known) }
 }
 
 fn positive(text: &str) -> Option<f64> {
@@ -159,7 +159,12 @@ fn list<T>(text: &str, read: impl Fn(&str) -> Option<T>) -> Option<Vec<T>> {
 
 fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: bool) -> Result<(), PipelineError> {
     if args.file.exists() && !args.force {
-        return Err(PipelineError::value(&args.file, "file", "a name that is free, or --force", "a file"));
+        return Err(PipelineError::value(
+            &args.file,
+            "file",
+            "a path without a file (--force replaces the file)",
+            "a file",
+        ));
     }
     for (name, [cols, rows], rate) in outputs {
         let rate = rate.map_or(String::new(), |rate| format!(", {rate:.2} Hz"));
@@ -217,7 +222,12 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         |text| list(text, |word| (!word.is_empty()).then(|| word.to_string())),
     )?;
     if !names.is_empty() && names.len() != panels {
-        return Err(PipelineError::value("--outputs", "NAME", format!("{panels} names"), names.len().to_string()));
+        return Err(PipelineError::value(
+            "--outputs",
+            "NAME",
+            format!("{panels} names, one for each panel"),
+            names.len().to_string(),
+        ));
     }
     let first = names.first().and_then(|name| outputs.iter().find(|output| output.0 == *name)).or(outputs.first());
     let resolution = ask.value(
@@ -241,7 +251,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     // Request the settings of the light field, and of the lenses if there are any.
     let scale = ask.value(
         "--panel-pixels",
-        "Panel pixels per mask pixel on each axis (1 is sharpest, 2 factorizes four times as fast)",
+        "Panel pixels per mask pixel on each axis (1 gives the sharpest picture; with 2, patterns are computed four times as fast)",
         args.panel_pixels,
         Some(("2".into(), 2)),
         |text| text.parse().ok().filter(|count| (1..=64).contains(count)),
@@ -330,7 +340,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         source,
     })?;
     let text = format!(
-        "# Made by `lumistack display new`; in millimetres and degrees. docs/JOB.md explains every key.\n\
+        "# Made by `lumistack display new`. Lengths are in millimetres, angles in degrees. docs/JOB.md explains every key.\n\
          # Put measured values here (black_level, transfer tables, offset_mm, crosstalk). `lumistack show` saves shifts of panels (nudge_px) here.\n{}",
         display.to_toml()
     );
@@ -386,7 +396,7 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
                 json!({"event": "calibrated", "layer": found.layer, "crosses": found.crosses, "moved_mm": found.moved_mm, "rms_mm": found.rms_mm, "homography": found.homography.0})
             ),
             false => say!(
-                "layer {}: {} crosses were {:.3} mm off, and are {:.3} mm off with the homography",
+                "layer {}: number of crosses {}; their error (root mean square) was {:.3} mm, and is {:.3} mm with the new homography",
                 found.layer,
                 found.crosses,
                 found.moved_mm,

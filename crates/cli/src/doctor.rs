@@ -66,9 +66,8 @@ fn parts(found: &Found) -> (&'static str, &str, Option<&str>) {
 }
 
 fn look(registry: &Registry, cancel: &Cancel) -> Result<Vec<Finding>, PipelineError> {
-    let python = "`lumistack setup usd` installs OpenUSD, or set LUMISTACK_PYTHON to a Python that has it: docs/USD.md";
-    let blender =
-        "install Blender 4.2 or newer from blender.org, or set LUMISTACK_BLENDER to its program: docs/BLENDER.md";
+    let python = "run `lumistack setup usd` to install OpenUSD, or set LUMISTACK_PYTHON to a Python that has OpenUSD; docs/USD.md has the details";
+    let blender = "install Blender 4.2 or newer from blender.org, or set LUMISTACK_BLENDER to the program Blender; docs/BLENDER.md has the details";
     let found = [
         ("program", program_itself()),
         ("processor", processor()),
@@ -121,8 +120,8 @@ fn memory() -> Found {
     let (free, all) = (system.available_memory() >> 20, system.total_memory() >> 20);
     rated(
         free,
-        format!("{free} MiB free of {all}"),
-        "`render.field_mib` in a job limits the memory of its light field: docs/JOB.md",
+        format!("{free} MiB free of {all} MiB"),
+        "the key `render.field_mib` of a job limits the memory of the light field; docs/JOB.md explains the key",
     )
 }
 
@@ -133,7 +132,9 @@ fn disk(folder: &Path) -> Found {
             let free = bytes >> 20;
             rated(free, format!("{free} MiB free in this folder"), "`lumistack clean runs/*` removes cached results")
         }
-        Err(error) => Found::Poor(format!("the free space is not known: {error}"), "change to another folder".into()),
+        Err(error) => {
+            Found::Poor(format!("the free space is not known: {error}"), "run the command in another folder".into())
+        }
     }
 }
 
@@ -148,7 +149,10 @@ fn plugins(registry: &Registry) -> Found {
         return Found::Good(format!("{count}"));
     }
     let reasons: Vec<String> = failed.iter().map(ToString::to_string).collect();
-    Found::Poor(format!("{count}, and {} that cannot be used", failed.len()), reasons.join("; "))
+    Found::Poor(
+        format!("{count}; number of plugin libraries that cannot be used: {}", failed.len()),
+        reasons.join("; "),
+    )
 }
 
 fn reader(there: Result<There, UsdError>, help: &str) -> Result<Found, PipelineError> {
@@ -162,7 +166,7 @@ fn denoiser() -> Found {
     match oidn_version() {
         Ok(version) => Found::Good(version),
         Err(_) => {
-            let help = "`pip install pyoidn`, or set LUMISTACK_OIDN to the program `oidnDenoise`; the other filters need no other program";
+            let help = "run `pip install pyoidn`, or set LUMISTACK_OIDN to the program `oidnDenoise`; the filters `shared` and `guided` need no other program";
             Found::Missing("the program `oidnDenoise` of Open Image Denoise was not found".into(), help.into())
         }
     }
@@ -172,14 +176,19 @@ fn denoiser() -> Found {
 fn graphics() -> Found {
     let adapters = match crate::devices::found() {
         Ok(adapters) => adapters,
-        Err(why) => return Found::Missing(why, "the processor solves instead: docs/GPU.md".into()),
+        Err(why) => {
+            return Found::Missing(
+                why,
+                "the processor computes the patterns instead; docs/GPU.md has the details".into(),
+            );
+        }
     };
     let lines: Vec<String> = adapters.iter().map(crate::devices::line).collect();
     match adapters.iter().any(|adapter| adapter.is_hardware) {
         true => Found::Good(lines.join("\n")),
         false => Found::Missing(
             if lines.is_empty() { "no adapter with Vulkan, Metal or Direct3D 12".into() } else { lines.join("\n") },
-            "the processor solves instead: docs/GPU.md".into(),
+            "the processor computes the patterns instead; docs/GPU.md has the details".into(),
         ),
     }
 }

@@ -108,9 +108,9 @@ enum What {
         job: JobArgs,
         #[command(flatten)]
         cut: CutArgs,
-        /// Folder for the files of the job for the farm manager. If the format writes a single
-        /// file, this may be the path of the file. A path counts as the path of the file if it has
-        /// an extension, or ends with the format's own file name, such as Makefile
+        /// Folder for the files of the job for the farm manager. For a format that writes a single
+        /// file, give a folder or the path of the file. A path counts as the path of the file if
+        /// the path has an extension, or ends with the format's own file name, such as Makefile
         #[arg(long, value_name = "FILE|DIR", default_value = ".")]
         to: PathBuf,
         /// Command line that starts the program on a worker; spaces separate its words [default:
@@ -279,7 +279,7 @@ pub(crate) fn run(
             let (_, dir) = planned(input, &args.job, &args.cut, registry, task)?;
             engine(&args.engine, &python, &dir, threads, json, task)
         }
-        (None, None) => Err(PipelineError::value("command line", "JOB", "a job, a scene or a subcommand", "none")),
+        (None, None) => Err(PipelineError::value("command line", "JOB", "a job file, a scene or a subcommand", "none")),
     }
 }
 
@@ -356,7 +356,7 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
     let count = graph.units.len();
     let folder = dir.display();
     let predicted = predictions.iter().map(text).collect::<Vec<_>>().join(", ");
-    say!("{count} units in {folder}; predicted time by number of workers: {predicted}");
+    say!("number of units in {folder}: {count}; predicted total time by number of workers: {predicted}");
 }
 
 /// Ends the process when standard input ends, since the worker that started this process is then
@@ -398,7 +398,7 @@ fn unit(
         };
         say!("{event}");
     } else if let Ok(done) = &done {
-        let before = if done.cached { ", already done" } else { "" };
+        let before = if done.cached { "; the unit was already done" } else { "" };
         say!("{id}: {}{before}", duration_text(done.seconds));
     }
     done.map(|_| ())
@@ -494,7 +494,9 @@ fn engine(
     task.cancel.check()?;
     match status.success() {
         true => Ok(()),
-        false => Err(PipelineError::value("farm", "run", "all units done", "unfinished units, which are listed above")),
+        false => {
+            Err(PipelineError::value("farm", "run", "all units finished", "unfinished units, which are listed above"))
+        }
     }
 }
 
@@ -511,14 +513,20 @@ fn python() -> Result<PathBuf, PipelineError> {
             Ok(found) if found.status.success() => return Ok(program),
             Ok(found) => {
                 let said = String::from_utf8_lossy(&found.stderr);
-                let last = said.trim().lines().last().unwrap_or("it failed").to_owned();
+                let last = said.trim().lines().last().unwrap_or("the import failed without a message").to_owned();
                 tried.push(format!("{} ({from}): {last}", program.display()));
             }
             Err(error) => tried.push(format!("{} ({from}): {error}", program.display())),
         }
     }
-    let expected = "one with the packages `lumistack` and `distributed` (pip install 'lumistack[farm]')";
-    Err(PipelineError::value("farm", "Python", expected, tried.join("; ")))
+    let expected =
+        "a Python with the packages `lumistack` and `distributed` (install them with `pip install 'lumistack[farm]'`)";
+    Err(PipelineError::value(
+        "farm",
+        "Python",
+        expected,
+        format!("only Pythons without both packages: {}", tried.join("; ")),
+    ))
 }
 
 #[cfg(test)]

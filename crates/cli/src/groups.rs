@@ -52,9 +52,9 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
     /// Program that renders the views: lumistack, blender or auto. Blender renders only .blend
-    /// scenes, with the file's own engine and settings. With auto, Blender renders a .blend scene
-    /// if lumistack cannot show all of its content. Otherwise lumistack renders. docs/BLENDER.md
-    /// lists cases in which lumistack renders such a scene nevertheless, without this content
+    /// scenes, with the file's own engine and settings. With auto, Blender renders each .blend
+    /// scene that has content lumistack cannot show. In the exceptions that docs/BLENDER.md lists,
+    /// lumistack renders the scene without that content. Lumistack renders all other scenes
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
     /// Largest number of bounces of a path; the first hit counts as a bounce. With 0 only the
@@ -63,9 +63,9 @@ pub(crate) struct RenderArgs {
     pub(crate) max_bounces: Option<u32>,
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, the
     /// diffuse light of each surface point is averaged over the views that see the point. With
-    /// guided, Lumistack's filter works on all views together. With oidn, Open Image Denoise
-    /// filters each view, if it is installed. Auto means shared if the number of views is automatic
-    /// and Lumistack's path tracer renders the views, otherwise off
+    /// guided, Lumistack's filter works on all views together. With oidn, the program Open Image
+    /// Denoise filters each view; you must install this program. Auto means shared if the number of
+    /// views is automatic and Lumistack's path tracer renders the views, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
     /// Camera that sees the scene, by its name or its number from 0. If the camera has a plane of
@@ -98,9 +98,9 @@ pub(crate) struct RenderArgs {
     /// move the same property of an object
     #[arg(long, value_name = "NAME|N")]
     pub(crate) animation: Option<String>,
-    /// Variant of the scene. For glTF, it is the name or number of a material variant. For USD, it
-    /// is SET=VARIANT for every prim that has the set, or /PRIM{SET=VARIANT} for one prim. For USD
-    /// the flag may be given several times
+    /// Variant of the scene. For glTF, give the name or number of a material variant. For USD, give
+    /// SET=VARIANT for every prim that has the variant set SET, or /PRIM{SET=VARIANT} for one prim.
+    /// For USD the flag may be given several times
     #[arg(long, value_name = "NAME|N|SET=VARIANT")]
     pub(crate) variant: Vec<String>,
     /// Keep only the splats whose centres lie in this box, given by two opposite corners in scene
@@ -126,8 +126,8 @@ pub(crate) struct RenderArgs {
     /// light the surfaces
     #[arg(long, value_name = "COLOUR")]
     pub(crate) background: Option<lumistack_pipeline::Background>,
-    /// Number of stops by which the views are brighter than with the automatic exposure; below 0
-    /// they are darker
+    /// Number of stops by which the views are brighter than with the automatic exposure. A number
+    /// below 0 makes the views darker
     #[arg(long, value_name = "EV", allow_hyphen_values = true)]
     pub(crate) exposure_ev: Option<f64>,
     /// Tone curve of all views: auto, linear, khronos-neutral or agx. Auto means linear if hardly
@@ -139,8 +139,8 @@ pub(crate) struct RenderArgs {
     /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing in
     /// three cases: in a sweep; if the scene fits; if the depth of field does not lie on both sides
     /// of the display. Otherwise auto moves the window, unless numbers in the job or a focus
-    /// distance of the camera place it. If the scene still does not fit, auto compresses depth,
-    /// unless a depth scale is given. `--fit-depth` without HOW means move [default: auto]
+    /// distance of the camera place the window. If the scene still does not fit, auto compresses
+    /// depth, unless a depth scale is given. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor that multiplies the parallax between views, and so the visible depth
@@ -201,7 +201,8 @@ pub(crate) struct FactorizeArgs {
 #[command(next_help_heading = "Sequence")]
 pub(crate) struct SequenceArgs {
     /// Number of time steps. Each time step has a run folder (t0001, t0002, ...). Each time step
-    /// after the first starts from the patterns of the previous one, unless a fresh start is better
+    /// after the first starts from the patterns of the previous time step, unless a fresh start is
+    /// better
     #[arg(long, value_name = "N")]
     pub(crate) times: Option<usize>,
     /// Angle by which the window turns about its vertical axis from the first time step to the
@@ -213,7 +214,7 @@ pub(crate) struct SequenceArgs {
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) shift_mm: Option<Numbers<3>>,
     /// Time that the scene's animations advance from the first time step to the last, seconds. The
-    /// animations start at --time, or at 0 [default: 0: they stand still]
+    /// animations start at --time, or at 0 [default: 0, so the animations stand still]
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     pub(crate) duration_s: Option<f64>,
     /// Number of iterations at every time step after the first [default: 5]
@@ -281,7 +282,7 @@ pub(crate) struct FactorizeDisplayArgs {
 #[command(next_help_heading = "Light field")]
 pub(crate) struct GeometryArgs {
     /// Projection of the views: oblique (each view is a parallel projection) or perspective (each
-    /// is the picture of a pinhole camera)
+    /// view is the picture of a pinhole camera)
     #[arg(long, value_name = "KIND", value_parser = ["oblique", "perspective"])]
     pub(crate) grid: Option<String>,
     /// Full horizontal and vertical angle of the viewing zone that the views cover, degrees
@@ -337,7 +338,7 @@ pub(crate) fn job_or_scene(path: &Path) -> Result<Job, PipelineError> {
         return Job::load(path);
     }
     if path.is_dir() {
-        let expected = "a scene (.gltf, .glb, USD, .blend, .obj, .ply, .spz, .sog or meta.json) or a job file (.toml); `lumistack factorize` takes folders of views";
+        let expected = "a scene (.gltf, .glb, USD, .blend, .obj, .ply, .spz, .sog or meta.json) or a job file (.toml); for a folder of views use `lumistack factorize`";
         return Err(PipelineError::value(path, "input", expected, "a folder"));
     }
     if path.extension().is_none() && !path.exists() {

@@ -62,7 +62,7 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
         let names = presets::PRESETS.iter().map(|(preset, _)| *preset);
         let near = nearest(&name, names).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
         let expected = "a file, a folder or a display preset (`lumistack displays` lists the presets)";
-        return Err(PipelineError::value(path, "input", expected, format!("none of this name{near}")));
+        return Err(PipelineError::value(path, "input", expected, format!("nothing with this name{near}")));
     }
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match extension.as_str() {
@@ -255,7 +255,7 @@ fn display(display: &Display) -> Value {
         "formation": name(serde_json::to_value(display.formation)),
         "frames": display.frames,
         "colour sequence": name(serde_json::to_value(display.colour_sequence)),
-        "refresh": format!("{} Hz, {:.1} periods a second", display.refresh_hz, display.period_hz()),
+        "refresh": format!("{} Hz; all frames are shown {:.1} times per second", display.refresh_hz, display.period_hz()),
         "flicker": display.flicker_warning(),
         "brightness": display.brightness,
         "light field": format!(

@@ -140,9 +140,12 @@ impl Live {
         positive("--sigma-mm", "value", self.sigma_mm)?;
         positive("--head-mm", "Z", self.head_mm.0[2])?;
         match &self.show {
-            Some(mode) if self.mouse && mode != "window" => {
-                Err(PipelineError::option("--mouse", "--show", "`window`, which has a pointer", format!("`{mode}`")))
-            }
+            Some(mode) if self.mouse && mode != "window" => Err(PipelineError::option(
+                "--mouse",
+                "--show",
+                "`window`, since only the window has a mouse pointer",
+                format!("`{mode}`"),
+            )),
             _ => Ok(()),
         }
     }
@@ -238,7 +241,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     shared.events.end();
     if !json {
         let video = if args.times { format!(", skipped time steps: {dropped}") } else { String::new() };
-        say!("states: {number}{video}; the last has PSNR {psnr_view:.1} dB at the solver's views");
+        say!("shown states: {number}{video}; PSNR of the last state: {psnr_view:.1} dB at the solver's views");
         say!("{}", report.display());
     }
     Ok(())
@@ -277,7 +280,7 @@ fn serve_page(
     if !args.no_open
         && let Err(error) = opener::open_browser(&address)
     {
-        task.warn("live", format!("no browser opens ({error}): open {address} yourself"));
+        task.warn("live", format!("the browser did not open ({error}); open {address} yourself"));
     }
     serve(server, Site { root: feed.root(), live: Some(feed) }, || (!shared.is_stopped()).then(String::new));
 }
@@ -347,7 +350,7 @@ fn show(
                 if state.stack.check(display).is_err() {
                     task.warn(
                         "show",
-                        "panels cannot change their size or frames while they are shown: restart `lumistack live`",
+                        "the panels continue with the old patterns, since the size and the frames of panels cannot change while they show patterns; restart `lumistack live`",
                     );
                 } else if send.send(PresenterInput::Stack(state.stack.clone())).is_err() {
                     return;

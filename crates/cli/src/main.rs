@@ -28,7 +28,9 @@ fn main() -> ExitCode {
         flag.cancel();
     });
     if let Err(error) = handler {
-        eprintln!("warning: Ctrl-C will not stop cleanly: {error}");
+        eprintln!(
+            "warning: Ctrl-C will end the program at once, without cleaning up, since the program cannot handle Ctrl-C: {error}"
+        );
     }
     ExitCode::from(lumistack_cli::run(&words, &cancel))
 }

@@ -13,7 +13,7 @@ use crate::groups::DEFAULT_DISPLAY;
 use crate::questions::{Questions, asks};
 
 pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new      asks questions, and writes job.toml into this folder\n  lumistack new figurine/job.toml --scene figurine.glb --no-questions\n      asks nothing, and uses the default display and outputs\n\n\
-    The command also writes job.schema.json next to the job file. Editors use it to complete and check keys. Existing files are never replaced.";
+    The command also writes job.schema.json next to the job file. Editors use this schema to complete and check keys. Existing files are never replaced.";
 
 /// Default outputs.
 const OUTPUTS: &str = "images,web_simulator";
@@ -76,7 +76,7 @@ fn create(path: &Path, text: &str) -> Result<bool, PipelineError> {
 }
 
 fn taken(file: &Path) -> PipelineError {
-    PipelineError::value(file, "file", "a name that is free", "a file")
+    PipelineError::value(file, "file", "a path without a file", "a file")
 }
 
 /// Makes the text of a job file from options and answers.
@@ -129,11 +129,8 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
             // The output is named `preview`, as in runs of a scene without a job file. Without a
             // title, the page would show the job's name.
             let title = scene.file_stem().unwrap_or_default().to_string_lossy();
-            let _ = write!(
-                text,
-                "name = \"preview\"\n# title of the page; the name of a file becomes words\nparams = {{ title = {} }}\n",
-                quoted(&title)
-            );
+            let _ =
+                write!(text, "name = \"preview\"\n# title of the page\nparams = {{ title = {} }}\n", quoted(&title));
         }
     }
     Ok(text)
@@ -177,13 +174,13 @@ scene = {scene}
 #frames = 6
 
 [window]
-# direction of the viewer, degrees to the right and up; without this key: the view of the file's camera, or the front
+# direction of the viewer, degrees to the right and up; without this key, the window shows the view of the file's camera, or the front
 #look_from = [20.0, 10.0]
 # \"auto\" brings the scene into the depths that the display shows sharply; \"off\" leaves depth as it is
 #fit_depth = \"auto\"
 
 [light]
-# number of stops by which the picture is brighter, or darker (below 0)
+# number of stops by which the picture is brighter; a number below 0 makes the picture darker
 #exposure_ev = 0.0
 #tone = \"auto\"
 
@@ -285,7 +282,7 @@ mod tests {
             assert!(error.contains(message), "{error}");
         }
         std::fs::write(&file, "mine").unwrap();
-        assert!(text_of(&words, None).unwrap_err().to_string().contains("a name that is free"));
+        assert!(text_of(&words, None).unwrap_err().to_string().contains("a path without a file"));
         assert!(!create(&file, "other").unwrap());
         assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
     }

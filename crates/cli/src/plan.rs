@@ -55,7 +55,7 @@ fn small_first(job: &Job, folder: &Path, registry: &Registry, seconds: f64) -> O
     let [cols, rows] = resolution;
     (small_seconds < 0.5 * seconds).then(|| {
         format!(
-            "about {}; try a small run in another folder first: with --resolution {cols}x{rows} --zone-samples {SMALL_ZONE_SAMPLES} it takes about {}",
+            "this run takes about {}; try a small run in another folder first: a run with --resolution {cols}x{rows} --zone-samples {SMALL_ZONE_SAMPLES} takes about {}",
             duration_text(seconds),
             duration_text(small_seconds)
         )
@@ -88,7 +88,7 @@ fn table(plan: &Plan) -> Vec<String> {
     let cached = plan.steps.iter().filter(|step| step.cached == Some(true)).count();
     let (count, time, memory) = (plan.steps.len(), duration_text(seconds), size_text(most));
     lines.push(format!(
-        "{count} steps in {}, {cached} of them cached; estimated {time}, at most {memory} of memory",
+        "number of steps in {}: {count}; number of cached steps: {cached}; estimated time {time}, at most {memory} of memory",
         plan.folder.display()
     ));
     lines
@@ -107,7 +107,8 @@ mod tests {
         let hint = |job: &Job, seconds| small_first(job, folder, &registry, seconds);
         let line = hint(&job, 1e7).unwrap();
         assert!(
-            line.starts_with("about 2777.8 h;") && line.contains("--resolution 210x131 --zone-samples 100"),
+            line.starts_with("this run takes about 2777.8 h;")
+                && line.contains("--resolution 210x131 --zone-samples 100"),
             "{line}"
         );
         assert_eq!(hint(&job, 600.0), None, "ten minutes are short");

@@ -77,7 +77,7 @@ fn announced(args: &Preview, site: &Path, json: bool, task: Task<'_>) -> Result<
     if !args.no_open
         && let Err(error) = opener::open_browser(&address)
     {
-        task.warn("preview", format!("no browser opens ({error}): open {address} yourself"));
+        task.warn("preview", format!("the browser did not open ({error}); open {address} yourself"));
     }
     Ok(server)
 }
@@ -94,7 +94,11 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if let Some(site) = written.next() {
         let others: Vec<String> = written.map(|site| site.display().to_string()).collect();
         if !others.is_empty() {
-            let text = format!("shows {}; this run also has {}", site.display(), others.join(", "));
+            let text = format!(
+                "the page shows the preview {}; the run has other previews: {}",
+                site.display(),
+                others.join(", ")
+            );
             task.warn("preview", text);
         }
         return Ok(Source { site, run: None, seen: Mutex::default() });
@@ -108,7 +112,7 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
         let source = source_of(first, task)?;
         if let Some(last) = times.get(1).and_then(|_| times.last()) {
             let text = format!(
-                "shows the first of {} time steps; `lumistack preview {}` shows the last one, and any other time step has such a folder",
+                "the page shows the first of {} time steps; `lumistack preview {}` shows the last time step; each time step has its own folder",
                 times.len(),
                 last.display()
             );
@@ -119,9 +123,9 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     let found = match std::fs::metadata(dir) {
         Err(error) => error.to_string(),
         Ok(data) if !data.is_dir() => "a file".into(),
-        Ok(_) => "neither stack/preview.json nor layers/stack.json in it".into(),
+        Ok(_) => "a folder with neither stack/preview.json nor layers/stack.json".into(),
     };
-    Err(PipelineError::value(dir, "folder", "a run or a preview", found))
+    Err(PipelineError::value(dir, "folder", "the folder of a run or of a preview", found))
 }
 
 /// Finds the folders of a sequence's time steps, `t0001` and so on; none for a still run.

@@ -69,7 +69,7 @@ impl Questions<'_> {
                         "no answer",
                     ));
                 }
-                _ => tell!("  not a valid answer; try again"),
+                _ => tell!("  this answer is not valid; try again"),
             }
         }
     }

@@ -292,7 +292,10 @@ fn read_request(mut stream: &TcpStream) -> Result<Request, Option<Reply>> {
             return parse(&head).map_err(Some);
         }
         if head.len() > HEAD {
-            return Err(Some(Reply::text(431, "expected a head of at most 16 KiB, found a longer one\n")));
+            return Err(Some(Reply::text(
+                431,
+                "expected a request whose head has at most 16 KiB, found a longer head\n",
+            )));
         }
     }
 }
@@ -304,7 +307,7 @@ fn parse(head: &[u8]) -> Result<Request, Reply> {
     match request.parse(head) {
         Ok(httparse::Status::Complete(_)) => {}
         Err(httparse::Error::TooManyHeaders) => {
-            return Err(Reply::text(431, "expected at most 64 header fields, found more\n"));
+            return Err(Reply::text(431, "expected a request with at most 64 header fields, found more fields\n"));
         }
         _ => return Err(Reply::text(400, "expected a request of HTTP, found other bytes\n")),
     }
@@ -315,7 +318,7 @@ fn parse(head: &[u8]) -> Result<Request, Reply> {
     let field = |name: &str| request.headers.iter().find(|field| field.name.eq_ignore_ascii_case(name));
     let empty = field("Content-Length").is_none_or(|length| length.value.trim_ascii() == b"0");
     if !empty || field("Transfer-Encoding").is_some() {
-        return Err(Reply::text(413, "expected a request without a body, found one with a body\n"));
+        return Err(Reply::text(413, "expected a request without a body, found a request with a body\n"));
     }
     let host = field("Host").map(|host| String::from_utf8_lossy(host.value).into_owned());
     Ok(Request { method, target: request.path.unwrap_or_default().to_owned(), host })
@@ -398,7 +401,7 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
     let name =
         name.rsplit_once(':').filter(|(_, port)| port.bytes().all(|b| b.is_ascii_digit())).map_or(name, |(n, _)| n);
     if !["localhost", "127.0.0.1"].contains(&name) {
-        return Reply::text(403, "expected the host localhost or 127.0.0.1, found another\n");
+        return Reply::text(403, "expected the host localhost or 127.0.0.1, found another host\n");
     }
     let (path, query) = url.split_once('?').unwrap_or((url, ""));
     let path = path.split('#').next().unwrap_or_default();

@@ -36,8 +36,8 @@ pub(crate) struct Show {
     /// List the outputs of this desktop session, to which panels may be connected
     #[arg(long)]
     pub(crate) list: bool,
-    /// Draw one surface across all outputs, so that all layers change their frames together. This
-    /// works on X11, and on Wayland with sway
+    /// Draw one surface across all outputs, so that all layers change their frames together. The
+    /// option works on X11, and on Wayland with sway
     #[arg(long)]
     pub(crate) span: bool,
     /// Show a preview of the display in an ordinary window; the mouse moves the viewer
@@ -46,8 +46,8 @@ pub(crate) struct Show {
     /// Initial direction of the preview's viewer, degrees to the right and up
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, requires = "preview")]
     pub(crate) from: Option<Numbers<2>>,
-    /// Scale the masks to your panels, if the run was made for panels of other sizes. The distances
-    /// between the panels must then be scaled by the printed factor
+    /// Scale the masks to your panels, if the run was made for panels of other sizes. You must then
+    /// also scale the distances between the panels by the printed factor
     #[arg(long, conflicts_with_all = ["preview", "pattern"])]
     pub(crate) fit: bool,
     /// Show a picture (PNG, JPEG, WebP) on one layer at the panel's full resolution; the other
@@ -151,8 +151,8 @@ fn subject(args: &Show, dir: &Path) -> Result<Subject, PipelineError> {
         return Err(PipelineError::value(
             dir,
             "folder",
-            "a run, with layers/stack.json in it",
-            "none; to show a pattern on a display, add --pattern",
+            "a run folder, which contains layers/stack.json",
+            "no run folder; to show a test pattern on a display, add --pattern",
         ));
     };
     if let Some(path) = &args.calibration {
@@ -176,7 +176,7 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
     };
     if fits(display) != fits(measured) {
         let expected = "the layers and lenslets of the shown display, with equal pixels and pitches";
-        return Err(PipelineError::value(path, "layers", expected, "others"));
+        return Err(PipelineError::value(path, "layers", expected, "other layers or lenslets"));
     }
     // Take only the calibration. Distances and frames must stay as they were when the patterns were
     // solved.
@@ -250,7 +250,7 @@ fn list(json: bool) -> Result<(), PipelineError> {
         say!("{}", describe(output, json));
     }
     if outputs.is_empty() && !json {
-        say!("no outputs");
+        say!("found no outputs: no monitor is on");
     }
     Ok(())
 }
@@ -347,7 +347,9 @@ fn happened(event: &Value, json: bool, file: Option<&Path>, log: Option<&Path>) 
         Ok(Event::Shows { panel, output: name, position, size, refresh_hz }) => {
             say!("{panel} on {}", describe(&Output { name, position, size, refresh_hz }, false));
         }
-        Ok(Event::Nudged { panel, nudge_px: [right, down] }) => say!("{panel}: {right} px right, {down} px down"),
+        Ok(Event::Nudged { panel, nudge_px: [right, down] }) => {
+            say!("{panel}: shifted {right} px to the right and {down} px down")
+        }
         Ok(Event::Started | Event::Swapped { .. } | Event::Looked { .. } | Event::Warning(_)) => {}
         Err(error) => warn("show", &format!("{event}: {error}"), json),
     }
@@ -380,10 +382,10 @@ fn save(display: &Display, file: Option<&Path>) -> Result<PathBuf, PipelineError
 
 fn print_report(report: &Report) {
     if report.refreshes == 0 {
-        return say!("nothing was shown");
+        return say!("no frame was shown");
     }
     say!(
-        "{} refreshes in {:.1} s, {:.1} Hz; expected {:.1} Hz, as stated by {}",
+        "number of refreshes: {} in {:.1} s, so {:.1} Hz; expected {:.1} Hz, as stated by {}",
         report.refreshes,
         report.seconds,
         report.rate_hz,
@@ -392,7 +394,7 @@ fn print_report(report: &Report) {
     );
     let counts = |tally: &lumistack_plugin_panels::Tally| {
         format!(
-            "{} late, {} repeated, {} dropped, {} out of order",
+            "frames late: {}, repeated: {}, dropped: {}, out of order: {}",
             tally.late, tally.repeated, tally.dropped, tally.out_of_order
         )
     };
@@ -400,16 +402,16 @@ fn print_report(report: &Report) {
     // known.
     match (report.presented.is_empty(), &report.submitted) {
         (true, Some(submitted)) => say!(
-            "by the times of submission: {}; the platform does not report when pictures were shown",
+            "{}, by the times at which the frames were submitted, since the platform does not report when frames were shown",
             counts(submitted)
         ),
         _ => report.presented.iter().for_each(|(name, tally)| say!("{name}: {}", counts(tally))),
     }
     match report.skew_mean_s.zip(report.skew_largest_s) {
         Some((mean, largest)) => {
-            say!("skew between outputs: {:.2} ms, at most {:.2} ms", 1000.0 * mean, 1000.0 * largest)
+            say!("skew between outputs: {:.2} ms on average, at most {:.2} ms", 1000.0 * mean, 1000.0 * largest)
         }
-        None if report.presented.len() == 1 => say!("skew between outputs: none, since there is only one surface"),
-        None => say!("skew between outputs: unknown, the platform does not report it"),
+        None if report.presented.len() == 1 => say!("skew between outputs: none, since all panels are on one surface"),
+        None => say!("skew between outputs: not known, since the platform does not report the skew"),
     }
 }

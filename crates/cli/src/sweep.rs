@@ -167,7 +167,7 @@ impl List {
             let is_whole = number.fract() == 0.0 && (1.0..1e6).contains(number);
             is_whole
                 .then_some(*number as usize)
-                .ok_or_else(|| PipelineError::value(option, "LIST", "whole numbers from 1 on", number.to_string()))
+                .ok_or_else(|| PipelineError::value(option, "LIST", "whole numbers of at least 1", number.to_string()))
         };
         self.0.iter().map(whole).collect()
     }
@@ -234,9 +234,9 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     }
     summary.plots.iter().for_each(|plot| say!("{}", plot.display()));
     if summary.more_plots > 0 {
-        say!("more plots with --plots all: {}", summary.more_plots);
+        say!("number of further plots that --plots all writes: {}", summary.more_plots);
     }
-    say!("designs: {}, solved earlier: {}", summary.designs, summary.kept);
+    say!("number of designs: {}, of which an earlier sweep solved: {}", summary.designs, summary.kept);
     say!("{}", summary.csv.display());
     Ok(())
 }

@@ -360,7 +360,11 @@ mod tests {
         let analysis = Analysis::of(&display, None, None);
         let closed = analysis.axes[1].closed.as_ref().unwrap();
         assert!(closed.broken.is_empty() && closed.largest_difference < 1e-9, "{}", closed.largest_difference);
-        assert!(analysis.text().contains("eq. 25") && analysis.text().contains("the same"), "{}", analysis.text());
+        assert!(
+            analysis.text().contains("eq. 25") && analysis.text().contains("the closed form equals the bound"),
+            "{}",
+            analysis.text()
+        );
     }
 
     /// Oracle: an eye at distance D sees the edges of a display of width W at slopes of ±W/(2D).
@@ -403,6 +407,6 @@ mod tests {
             assert!(Analysis::depth_of_field_plot(&all, axis).unwrap().contains("prototype"));
             assert!(Analysis::support_plot(&all, axis).unwrap().contains("prototype"));
         }
-        assert!(all[2].text().contains("the layers' light adds up"), "{}", all[2].text());
+        assert!(all[2].text().contains("the light of the layers adds up"), "{}", all[2].text());
     }
 }

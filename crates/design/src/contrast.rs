@@ -368,7 +368,7 @@ pub fn achieved_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
         Curve { name: "bound".into(), points: bound_of(found), colour: black, dashed: true, ..Curve::default() },
         achieved("solved for more views, over the whole zone", Achieved::WithMoreViews, 1),
         achieved("solved for its views, over the whole zone", Achieved::InBetween, 0),
-        achieved("solved for its views, measured only at them", Achieved::AtTheViews, 2),
+        achieved("solved for its views, measured only at its views", Achieved::AtTheViews, 2),
     ];
     plot::curves(&cutoff_axes(format!("{name}: half contrast")), &curves, &[], &[])
 }

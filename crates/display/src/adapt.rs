@@ -154,11 +154,11 @@ impl Display {
             return Err(DisplayError::Value {
                 key: "backlight.views".into(),
                 expected: format!(
-                    "a light field whose {name} slopes need at most {MOST_BINS} angular bins or two per view (use parallel views or \
+                    "a light field whose {name} slopes need at most {MOST_BINS} angular bins, or two bins per view (use parallel views or \
                      outside_bins = \"repeat\"), or a display with a uniform backlight"
                 ),
                 found: format!(
-                    "{} views {width:.4} apart and rays of slopes up to {:.3}, which need {bins} bins",
+                    "{} views whose slopes are {width:.4} apart, and rays of slopes up to {:.3}, which need {bins} bins",
                     slopes.len(),
                     outermost + fan
                 ),
@@ -188,7 +188,7 @@ impl Display {
             .map(|(own, now)| format!("{now} instead of {own}"))
             .collect();
         (!changes.is_empty())
-            .then(|| format!("the directional backlight follows the light field: {}", changes.join(", ")))
+            .then(|| format!("the directional backlight is adapted to the light field: {}", changes.join(", and ")))
     }
 }
 

@@ -30,7 +30,7 @@ impl Display {
         check((1..=1000).contains(&self.frames), "frames", "1 to 1000", self.frames.to_string())?;
         positive("refresh_hz", self.refresh_hz)?;
         let brightness_ok = self.brightness > 0.0 && self.brightness <= 1.0;
-        check(brightness_ok, "brightness", "above 0, at most 1", self.brightness.to_string())?;
+        check(brightness_ok, "brightness", "a number above 0 and at most 1", self.brightness.to_string())?;
         pixels("field.resolution", self.field.resolution)?;
         match self.field.views {
             Views::Auto => {}
@@ -53,7 +53,7 @@ impl Display {
             let black_ok = (0.0..1.0).contains(&layer.black_level);
             check(black_ok, &key("black_level"), "0 to less than 1", layer.black_level.to_string())?;
             let peak_ok = layer.peak > 0.0 && layer.peak <= 1.0;
-            check(peak_ok, &key("peak"), "above 0, at most 1", layer.peak.to_string())?;
+            check(peak_ok, &key("peak"), "a number above 0 and at most 1", layer.peak.to_string())?;
             if let Some(bits) = layer.bits {
                 let expected = format!("1 to {}", Layer::MAX_BITS);
                 check((1..=Layer::MAX_BITS).contains(&bits), &key("bits"), &expected, bits.to_string())?;
@@ -67,7 +67,7 @@ impl Display {
                 check(row_ok, &key(&format!("crosstalk[{c}]")), expected, format!("{row:?}"))?;
             }
             let filters_ok = layer.filters.is_empty() || layer.colour == LayerColour::Mono;
-            check(filters_ok, &key("filters"), "none, or colour = \"mono\"", format!("{:?}", layer.filters))?;
+            check(filters_ok, &key("filters"), "no filters, or colour = \"mono\"", format!("{:?}", layer.filters))?;
             for (j, filter) in layer.filters.iter().enumerate() {
                 let filter_ok = filter.iter().all(|factor| (0.0..=1.0).contains(factor));
                 check(filter_ok, &key(&format!("filters[{j}]")), "three factors in 0..1", format!("{filter:?}"))?;
@@ -76,7 +76,8 @@ impl Display {
                 check(false, &key(&format!("transfer.{place}")), expected, found)?;
             }
             if let Some(bits) = layer.bits.filter(|_| layer.transfer.is_per_channel()) {
-                let expected = "none, or a transfer function that all channels share (levels are the same for all)";
+                let expected =
+                    "no `bits`, or a transfer function that all channels share, since all channels have equal levels";
                 check(false, &key("bits"), expected, bits.to_string())?;
             }
             if let Some(resolution) = layer.panel_resolution {
@@ -90,7 +91,8 @@ impl Display {
             }
             if n > 0 {
                 let behind = self.layers[n - 1].d_mm;
-                let expected = format!("more than layers[{}].d_mm = {behind} (layers go rear to front)", n - 1);
+                let expected =
+                    format!("more than layers[{}].d_mm = {behind} (layers are listed from rear to front)", n - 1);
                 check(layer.d_mm > behind, &key("d_mm"), &expected, layer.d_mm.to_string())?;
             }
         }

@@ -49,14 +49,14 @@ impl Display {
         let own = self.layers.iter().map(|layer| 0.5 / layer.pitch_mm).fold(f64::INFINITY, f64::min);
         let mut broken = Vec::new();
         if self.layers.iter().any(|layer| 0.5 / layer.pitch_mm > own * (1.0 + ROUNDING)) {
-            broken.push("the layers' pitches differ; the closed form takes the coarsest".to_string());
+            broken.push("the layers' pitches differ (the closed form takes the coarsest pitch)".to_string());
         }
         let d_mm: Vec<f64> = self.layers.iter().map(|layer| layer.d_mm).collect();
         let (first, last) = (*d_mm.first()?, *d_mm.last()?);
         let scale = (last - first).abs().max(1e-9);
         let centred = |broken: &mut Vec<String>| {
             if (first + last).abs() > ROUNDING * scale {
-                broken.push(format!("the stack's middle is at {} mm", 0.5 * (first + last)));
+                broken.push(format!("the middle of the stack is at z = {} mm", 0.5 * (first + last)));
             }
         };
         // select the form by the number of layers and the backlight
@@ -70,14 +70,16 @@ impl Display {
                 centred(&mut broken);
                 let (rear, front) = (d_mm[1] - first, last - d_mm[1]);
                 if (rear - front).abs() > ROUNDING * scale {
-                    broken.push(format!("gaps of {rear} and {front} mm; the closed form takes their mean"));
+                    broken.push(format!(
+                        "the gaps are {rear} and {front} mm (the closed form takes the mean of the gaps)"
+                    ));
                 }
                 let form = Form::Three { gap_mm: 0.5 * (last - first), own };
                 (25, "three layers of one pitch at −Δd, 0 and Δd", form)
             }
             (1, Backlight::Lenslets(_)) => {
                 if first != 0.0 {
-                    broken.push(format!("the layer is at {first} mm"));
+                    broken.push(format!("the layer is at z = {first} mm, not at z = 0"));
                 }
                 let Form::Lenses { lenslet_mm, step } = self.lenses(axis, &mut broken)? else { return None };
                 let form = Form::LayerOnLenses { lenslet_mm, step, own };
@@ -93,7 +95,12 @@ impl Display {
     pub fn lens_array_form(&self, axis: usize) -> Option<ClosedForm> {
         let mut broken = Vec::new();
         let form = self.lenses(axis, &mut broken)?;
-        Some(ClosedForm { equation: 23, assumes: "a lens array or barrier at z = 0 and nothing else", broken, form })
+        Some(ClosedForm {
+            equation: 23,
+            assumes: "a display that has only a lens array or barrier at z = 0",
+            broken,
+            form,
+        })
     }
 
     fn lenses(&self, axis: usize, broken: &mut Vec<String>) -> Option<Form> {

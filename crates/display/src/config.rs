@@ -279,19 +279,19 @@ pitch_mm = 1.0
             ("frames = 2", "frams = 2", "line 3, column 1: unknown field `frams`"),
             ("frames = 2", "frames = 0", "frames: expected 1 to 1000, found 0"),
             ("d_mm = 0.0", "d_mm = -12.0", "layers[1].d_mm: expected more than layers[0].d_mm = -12"),
-            ("brightness = 0.2", "brightness = 1.5", "brightness: expected above 0"),
+            ("brightness = 0.2", "brightness = 1.5", "brightness: expected a number above 0"),
             ("fov_deg = [20.0, 20.0]", "fov_deg = [20.0, nan]", "field: fov_deg"),
             ("views = [3, 3]", "views = [3, 0]", "field.views: expected 1 to"),
             ("views = [3, 3]", "views = [3, 3]\nprojection = \"perspective\"", "field.distance_mm"),
             ("frames = 2", "frames = 2\nformation = \"product\"", "line 4, column 13: unknown variant `product`"),
-            (front, "d_mm = 12.0\npeak = 0.0", "layers[2].peak: expected above 0, at most 1, found 0"),
-            (front, "d_mm = 12.0\npeak = nan", "layers[2].peak: expected above 0, at most 1, found NaN"),
+            (front, "d_mm = 12.0\npeak = 0.0", "layers[2].peak: expected a number above 0 and at most 1, found 0"),
+            (front, "d_mm = 12.0\npeak = nan", "layers[2].peak: expected a number above 0 and at most 1, found NaN"),
             (front, "d_mm = 12.0\nbits = 0", "layers[2].bits: expected 1 to 16, found 0"),
             (front, "d_mm = 12.0\nbits = 17", "layers[2].bits: expected 1 to 16, found 17"),
             (
                 front,
                 "d_mm = 12.0\nbits = 6\ntransfer = { gamma = [2.0, 2.2, 2.4] }",
-                "layers[2].bits: expected none, or a transfer function that all channels share",
+                "layers[2].bits: expected no `bits`, or a transfer function that all channels share",
             ),
             (
                 front,
@@ -318,7 +318,7 @@ pitch_mm = 1.0
             (
                 front,
                 "d_mm = 12.0\nfilters = [[1.0, 0.0, 0.0]]",
-                "layers[2].filters: expected none, or colour = \"mono\"",
+                "layers[2].filters: expected no filters, or colour = \"mono\"",
             ),
             (
                 front,

@@ -50,9 +50,9 @@ impl LightField {
         let expected = Self::shape_of(&geometry);
         if radiance.shape() != expected {
             return Err(GridError {
-                what: "light field shape [view_y][view_x][row][col][rgb]",
-                expected: "the shape of its geometry",
-                found: format!("{:?} where the geometry has {expected:?}", radiance.shape()),
+                what: "shape [view_y][view_x][row][col][rgb] of the light field",
+                expected: "the shape that the geometry has",
+                found: format!("{:?}, but the geometry has {expected:?}", radiance.shape()),
             });
         }
         Ok(Self { geometry, radiance, depth: None })

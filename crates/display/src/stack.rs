@@ -94,15 +94,19 @@ impl LayerStack {
     pub fn check(&self, display: &Display) -> Result<(), StackError> {
         let error = |what: String, expected: String, found: String| Err(StackError { what, expected, found });
         if self.layers.len() != display.layers.len() {
-            return error("layers".into(), display.layers.len().to_string(), self.layers.len().to_string());
+            return error("number of layers".into(), display.layers.len().to_string(), self.layers.len().to_string());
         }
         if !(self.brightness > 0.0 && self.brightness <= 1.0) {
-            return error("brightness".into(), "above 0, at most 1".into(), self.brightness.to_string());
+            return error("brightness".into(), "a number above 0 and at most 1".into(), self.brightness.to_string());
         }
         for (n, layer) in self.layers.iter().enumerate() {
             let expected = Self::layer_shape(display, n);
             if layer.shape() != expected {
-                return error(format!("shape of layer {n}"), format!("{expected:?}"), format!("{:?}", layer.shape()));
+                return error(
+                    format!("shape [frame][row][col][rgb] of layer {n}"),
+                    format!("{expected:?}"),
+                    format!("{:?}", layer.shape()),
+                );
             }
         }
         let expected = Self::emission_shape(display);

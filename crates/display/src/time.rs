@@ -30,7 +30,7 @@ impl Display {
             (frames, ColourSequence::Simultaneous) => format!("{frames} frames"),
         };
         Some(format!(
-            "{frames} at {} Hz are shown {:.1} times a second and will flicker; to show them {} times a second, the panels need a refresh rate of {} Hz",
+            "at {} Hz the display shows {frames} {:.1} times per second, so the display flickers. To show all frames {} times per second, the panels need a refresh rate of {} Hz",
             self.refresh_hz,
             self.period_hz(),
             Self::FLICKER_HZ,
@@ -57,7 +57,7 @@ mod tests {
     fn the_warning_says_which_refresh_rate_would_do() {
         let mut display = Display { frames: 6, refresh_hz: 120.0, ..small_display() };
         let warning = display.flicker_warning().unwrap();
-        assert!(warning.starts_with("6 frames at 120 Hz are shown 20.0 times a second"), "{warning}");
+        assert!(warning.starts_with("at 120 Hz the display shows 6 frames 20.0 times per second"), "{warning}");
         assert!(warning.ends_with("refresh rate of 360 Hz"), "{warning}");
         display.refresh_hz = 360.0;
         assert_eq!(display.flicker_warning(), None);

@@ -33,7 +33,7 @@ pub enum Transfer {
 
 /// One value for red, green and blue together, or one for each.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged, expecting = "one for all channels, or three: red, green, blue")]
+#[serde(untagged, expecting = "expected one value for all channels, or three values: red, green and blue")]
 pub enum Channels<T> {
     /// One value for all channels.
     Same(T),
@@ -202,7 +202,7 @@ mod tests {
             assert_eq!(toml::from_str::<File>(&toml::to_string(&file).unwrap()).unwrap(), file);
         }
         let error = toml::from_str::<File>("transfer = { gamma = [1.0, 2.0] }").unwrap_err().to_string();
-        assert!(error.contains("one for all channels, or three"), "{error}");
+        assert!(error.contains("expected one value for all channels, or three values"), "{error}");
     }
 
     #[test]

@@ -78,7 +78,7 @@ impl Variation {
             None => {
                 return fail(
                     "gap_mm",
-                    "the distance of layers, since the display has a single layer and so no gap",
+                    "the distance between layers, since the display has a single layer and therefore no gap",
                     "none".into(),
                 );
             }
@@ -124,7 +124,7 @@ mod tests {
         let mut base = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[0.0], 2);
         base.backlight = Backlight::Lenslets(LensletBacklight::new(-8.5, [4, 3], 4.0, [3, 3], [20.0, 20.0]));
         let error = Variation { layers: Some(3), ..Variation::default() }.applied_to(&base).unwrap_err();
-        assert!(error.to_string().starts_with("gap_mm: expected the distance of layers"), "{error}");
+        assert!(error.to_string().starts_with("gap_mm: expected the distance between layers"), "{error}");
         let change = Variation {
             layers: Some(3),
             gap_mm: Some(40.0),

@@ -137,7 +137,7 @@ impl std::str::FromStr for Views {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("expected auto, or columns x rows as in 5x3, found {text}");
+        let wrong = || format!("expected auto, or two numbers (columns and rows of views) such as 5x3, found {text}");
         if text == "auto" {
             return Ok(Self::Auto);
         }

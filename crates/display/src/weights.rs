@@ -61,7 +61,11 @@ impl Weights {
         for (i, eye_box) in boxes.iter().enumerate() {
             let EyeBox { eye_mm, sigma_mm, weight } = eye_box;
             let eye_ok = eye_mm.iter().all(|v| v.is_finite()) && eye_mm[2] > 0.0;
-            check(eye_ok, format!("eye box {i} in front of the display (z > 0)"), format!("{eye_mm:?} mm"))?;
+            check(
+                eye_ok,
+                format!("a position of eye box {i} in front of the display (z > 0)"),
+                format!("{eye_mm:?} mm"),
+            )?;
             check(positive(*sigma_mm), format!("sigma_mm > 0 for eye box {i}"), sigma_mm.to_string())?;
             check(weight_ok(*weight), format!("a weight ≥ 0 for eye box {i}"), weight.to_string())?;
         }

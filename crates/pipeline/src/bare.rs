@@ -10,11 +10,14 @@ pub fn lacking(path: &Path, no_camera: bool, no_lights: bool) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     if no_camera {
         lines.push(
-            "no camera in the file: the window shows the front, or a side with more content; --look-from AZ,EL chooses the direction".into(),
+            "no camera in the file: the window shows the front of the scene, or a side with more content; --look-from AZ,EL chooses the direction".into(),
         );
     }
     if no_lights {
-        lines.push("no lights in the file: studio light lights the scene; --environment FILE replaces it".into());
+        lines.push(
+            "no lights in the file: the studio light lights the scene; --environment FILE replaces the studio light"
+                .into(),
+        );
     }
     let extension = path.extension().unwrap_or_default();
     if !lines.is_empty() && ["gltf", "glb"].iter().any(|gltf| extension.eq_ignore_ascii_case(gltf)) {

@@ -69,14 +69,19 @@ pub fn compare_runs(
     let [own, other] = [&a, &b].map(|run| run.display.field_pixels());
     if [own.rows, own.cols] != [other.rows, other.cols] || (own.pitch_mm / other.pitch_mm - 1.0).abs() > 1e-6 {
         let of = |g: &FieldGeometry| format!("{} × {} pixels of {} mm", g.cols, g.rows, g.pitch_mm);
-        return Err(PipelineError::value(second, "field", of(&own), of(&other)));
+        return Err(PipelineError::value(
+            second,
+            "light field",
+            format!("{}, as in the first run", of(&own)),
+            of(&other),
+        ));
     }
     // Views and directions come from the target of the first run or, without a target, from the
     // display of the first run.
     let target = target_of(first)?;
     let geometry = match &target {
         Some(target) => target.geometry().clone(),
-        None => a.display.geometry().map_err(|source| display_error(source, "field"))?,
+        None => a.display.geometry().map_err(|source| display_error(source, "display"))?,
     };
     let simulators = [&a, &b].map(|run| Simulator::new(&run.display, &run.stack));
     let shape = [geometry.rows, geometry.cols];
@@ -161,10 +166,10 @@ pub fn refocused(
 ) -> Result<Tensor<3>, PipelineError> {
     let distance = eye_mm[2];
     if !(pupil_mm.is_finite() && pupil_mm >= 0.0) {
-        return Err(PipelineError::option("--pupil-mm", "MM", "a diameter ≥ 0", pupil_mm.to_string()));
+        return Err(PipelineError::option("--pupil-mm", "MM", "a diameter of 0 or more", pupil_mm.to_string()));
     }
     if !(focus_mm.is_finite() && focus_mm < distance) {
-        let expected = format!("a depth below {distance} mm, the distance of the eye");
+        let expected = format!("a distance below {distance} mm, which is the distance of the eye");
         return Err(PipelineError::option("--focus", "Z", expected, focus_mm.to_string()));
     }
     // Average over a square grid of samples, without the samples outside of the pupil's disc.

@@ -51,7 +51,7 @@ pub enum PipelineError {
     },
     /// Another process works in the output folder.
     #[error(
-        "{}: another run uses this folder: {owner}; wait for it, end it, or choose another folder with -o",
+        "{}: {owner} uses this folder; wait until that process ends, end the process, or choose another folder with -o",
         folder.display()
     )]
     InUse {
@@ -71,7 +71,7 @@ pub enum PipelineError {
     },
     /// The worker has another build, so its results may differ from the other workers' results.
     #[error(
-        "{}: expected the program that planned the run ({plan}), found another ({worker}); install the same build on all workers, or plan the run again",
+        "{}: expected the program that planned the run ({plan}), found another program ({worker}); install the same build on all workers, or plan the run again",
         folder.display()
     )]
     OtherCode {
@@ -85,7 +85,7 @@ pub enum PipelineError {
     /// The output would replace a file that Lumistack did not write, or that was changed since
     /// Lumistack wrote it.
     #[error(
-        "{}: expected no file, or one that Lumistack wrote, found {}; {work} into this folder would replace it; move it away, or choose another folder with -o",
+        "{}: expected no file, or a file that Lumistack wrote, found {}, which {work} into its folder would replace; move the file away, or choose another folder with -o",
         path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "a file or folder that Lumistack did not write" }
     )]
     Foreign {
@@ -98,7 +98,7 @@ pub enum PipelineError {
     },
     /// An input is among the files that the output would replace.
     #[error(
-        "{}: expected the {role} outside of the output, found it among the files that are written into {}; choose another folder with -o",
+        "{}: expected the {role} outside of the output folder, found the {role} at a path that the command writes in {}; choose another folder with -o",
         input.display(), folder.display()
     )]
     Overwrites {
@@ -147,7 +147,7 @@ pub enum PipelineError {
     #[error(transparent)]
     Value(Box<BadValue>),
     /// Another program replaced a result that a stage has just written.
-    #[error("{}: {role}: expected the picture that was just written, found another or none; another program changes this folder", path.display())]
+    #[error("{}: {role}: expected the picture that was just written, found another picture or none; another program changes the folder", path.display())]
     Replaced {
         /// The file.
         path: PathBuf,
@@ -230,8 +230,8 @@ pub struct FailedOutput {
 fn failed_outputs(failed: &[FailedOutput]) -> String {
     let list = failed.iter().map(|output| format!("{}: {}", output.path, output.reason)).collect::<Vec<_>>().join("; ");
     match failed.len() {
-        1 => format!("an output failed; everything else is finished. Failed: {list}"),
-        count => format!("{count} outputs failed; everything else is finished. Failed: {list}"),
+        1 => format!("one output failed; everything else is finished. The failed output: {list}"),
+        count => format!("{count} outputs failed; everything else is finished. The failed outputs: {list}"),
     }
 }
 

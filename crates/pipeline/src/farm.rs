@@ -115,8 +115,14 @@ impl FarmPlan {
     }
 
     fn job(&self, maps: &[(PathBuf, PathBuf)]) -> Result<Job, PipelineError> {
-        let damaged =
-            |_| PipelineError::value("farm plan", "job", "the planned job", "damaged text; plan the run again");
+        let damaged = |_| {
+            PipelineError::value(
+                "farm plan",
+                "job",
+                "the text of the planned job",
+                "a damaged text; plan the run again",
+            )
+        };
         let mut job: Job = config::parse(&self.job).map_err(damaged)?;
         for path in job.paths_mut() {
             *path = mapped(path, maps);
@@ -265,8 +271,13 @@ fn wait_for_inputs(
         let [first, ..] = missing.as_slice() else { return Ok(()) };
         task.cancel.check()?;
         if start.elapsed() >= patience {
-            let (unit, expected) = (format!("unit `{}`", unit.id), "input units that are done");
-            return Err(PipelineError::value(dir, unit, expected, format!("`{first}`, which is not done")));
+            let (unit, expected) = (format!("unit `{}`", unit.id), "finished input units");
+            return Err(PipelineError::value(
+                dir,
+                unit,
+                expected,
+                format!("the input unit `{first}`, which is not finished"),
+            ));
         }
         std::thread::sleep(INPUT_INTERVAL);
     }

@@ -88,7 +88,7 @@ pub fn plugin_text(registry: &Registry, ids: &[String]) -> Result<String, Pipeli
     }
     let failed = failed(registry, ids);
     if !failed.is_empty() {
-        text.push_str("not loaded\n");
+        text.push_str("libraries that could not be loaded\n");
     }
     for error in failed {
         let _ = writeln!(text, "  {error}");

@@ -347,7 +347,7 @@ impl Job {
         }
         // Check ranges of single values. The types allow any number, also NaN.
         if let Some(time_s) = self.source.as_ref().map(|source| source.time_s).filter(|time_s| !time_s.is_finite()) {
-            return fail("source.time_s", "a finite time", time_s.to_string());
+            return fail("source.time_s", "a finite number of seconds", time_s.to_string());
         }
         if !(1.0..=1000.0).contains(&self.report.pixels_per_degree) {
             return fail("report.pixels_per_degree", "1 to 1000", self.report.pixels_per_degree.to_string());
@@ -357,7 +357,7 @@ impl Job {
             return fail("report.zone_directions", &expected, self.report.zone_directions.to_string());
         }
         if self.pose != PoseJob::default() && self.scene.is_none() {
-            return fail("pose", "a job with `scene`, since only scenes have poses", "no `scene`".into());
+            return fail("pose", "a job with `scene`, since only scenes have poses", "a job without `scene`".into());
         }
         if let Some(corners) =
             self.pose.crop_box.filter(|corners| !corners.as_flattened().iter().all(|x| x.is_finite()))
@@ -369,7 +369,7 @@ impl Job {
             return fail("pose.crop_sphere", "a finite centre and a radius above 0", format!("{sphere:?}"));
         }
         if let Some(time_s) = self.pose.time_s.filter(|time_s| !time_s.is_finite()) {
-            return fail("pose.time_s", "a finite time", time_s.to_string());
+            return fail("pose.time_s", "a finite number of seconds", time_s.to_string());
         }
         if !(1..=1 << 20).contains(&self.importer.picture_mib) {
             return fail("importer.picture_mib", "1 to 1048576 MiB", self.importer.picture_mib.to_string());
@@ -420,7 +420,7 @@ impl Job {
             };
             return fail(
                 format!("nodes[{i}].{unused}"),
-                &format!("no such table, since only {owner} has one"),
+                &format!("no table `{unused}` in this node, since only {owner} has a table `{unused}`"),
                 "a table".into(),
             );
         }
@@ -440,12 +440,12 @@ impl Job {
             if !is_folder_name(output.name()) {
                 return fail(
                     format!("outputs[{i}].name"),
-                    "letters, digits, `-` and `_`",
+                    "a name of letters, digits, `-` and `_`",
                     format!("`{}`", output.name()),
                 );
             }
             if taken.contains(&(from, output.name())) {
-                let expected = "a unique `name`, since another output has the same folder";
+                let expected = "a `name` that no other output of the same node has";
                 return fail(format!("outputs[{i}]"), expected, format!("`{}` twice", output.name()));
             }
             taken.push((from, output.name()));
@@ -612,10 +612,10 @@ mod tests {
             (format!("{nodes}[[nodes]]\nid = \"../a\"\n"), "nodes[2].id: expected a unique name"),
             (
                 format!("{nodes}params = {{ x = 1 }}\nfactorize = {{ }}\n"),
-                "nodes[1].factorize: expected no such table, since only `tensor-display` has one",
+                "nodes[1].factorize: expected no table `factorize` in this node, since only `tensor-display` has a table `factorize`",
             ),
-            (format!("{display}{}{}", output(""), output("")), "outputs[1]: expected a unique `name`"),
-            (format!("{display}{}", output("name = \"a/b\"")), "outputs[0].name: expected letters"),
+            (format!("{display}{}{}", output(""), output("")), "outputs[1]: expected a `name` that no other output"),
+            (format!("{display}{}", output("name = \"a/b\"")), "outputs[0].name: expected a name of letters"),
         ] {
             let error = job(&text).unwrap_err();
             assert!(error.contains(message), "{error}\n{message}");

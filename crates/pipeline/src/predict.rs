@@ -44,7 +44,7 @@ pub fn predict_on(
     let Some(scene) = &job.scene else {
         return Err(PipelineError::job("scene", "a scene", "none"));
     };
-    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
     let ingested = load_scene(scene, &job.pose, &job.importer, registry, &job.light, None, task)?;
     let placement = place::place(&ingested, &job.window, display, &geometry, None, task)?;
     let renderer = ingested.renderer(task)?;

@@ -46,7 +46,7 @@ pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result
             (own.adapted_to(&geometry).map_err(|source| display_error(source, "light field"))?, geometry)
         }
         _ => {
-            let geometry = own.geometry().map_err(|source| display_error(source, "field"))?;
+            let geometry = own.geometry().map_err(|source| display_error(source, "display"))?;
             (own, geometry)
         }
     };

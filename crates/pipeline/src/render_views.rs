@@ -45,7 +45,7 @@ pub fn render_views(
     let cache = target_dir.join("cache");
     let job = &plugin_files::resolved(&engine::settled(&job, Some(&cache), task)?, registry)?;
     let display = job.resolve_display()?;
-    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
     // Refuse wrong options before the scene is loaded, which may take minutes.
     options.check(job, geometry.grid.iter().count())?;
     options.chosen(geometry.grid.views())?;
@@ -69,7 +69,7 @@ pub fn render_views(
     if traced.views.len() < all && !options.linear && job.light.automatic_exposure {
         let count = traced.views.len();
         let message = format!(
-            "exposure is chosen from {count} of {all} views; if the other views are rendered separately, set `light.automatic_exposure = false` or use --linear for equal exposure"
+            "the exposure is chosen from {count} of {all} views. If you render the other views separately, set `light.automatic_exposure = false`, or use --linear, so that all views have equal exposure"
         );
         task.warn("exposure", message);
     }

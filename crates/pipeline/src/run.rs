@@ -233,7 +233,7 @@ fn cache_of(run_dir: &Path) -> PathBuf {
 
 fn without_sweep(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     if job.sweep.is_some() {
-        let expected = "a job without `[sweep]`, or `lumistack sweep`, which compares its designs";
+        let expected = "a job without `[sweep]`; the command `lumistack sweep` compares the designs of a sweep";
         return Err(PipelineError::job("sweep", expected, "`[sweep]`"));
     }
     plugin_files::resolved(job, registry)

@@ -58,7 +58,7 @@ impl RunFolder {
     /// If display or patterns are missing or wrong, or do not match.
     pub fn open(dir: &Path) -> Result<Self, PipelineError> {
         if dir.is_dir() && !dir.join("display.toml").exists() {
-            let expected = "a run, with display.toml and layers/stack.json in it";
+            let expected = "a run folder, which contains display.toml and layers/stack.json";
             return Err(PipelineError::value(dir, "folder", expected, "a folder without display.toml"));
         }
         let display = presets::load_file(&dir.join("display.toml"))?;
@@ -106,7 +106,7 @@ impl RunFolder {
             _ => String::new(),
         };
         let zone = format!("±{}° × ±{}°{from}", round(0.5 * x), round(0.5 * y));
-        (share > 0.0).then(|| format!("this viewpoint sees {part} of the display from outside of its viewing zone of {zone}, where the solver does not constrain the emitted light"))
+        (share > 0.0).then(|| format!("from this viewpoint, {part} of the display is seen from outside of the display's viewing zone of {zone}. The solver does not constrain the light outside of the zone"))
     }
 
     /// Returns the picture of the run from a viewpoint; see [`picture_from`].
@@ -175,7 +175,7 @@ pub fn picture_from(
     let mut picture = match viewpoint {
         Viewpoint::Angle(degrees) => {
             if !degrees.iter().all(|angle| angle.abs() < 90.0) {
-                let found = format!("{degrees:?}");
+                let found = format!("{} and {}", degrees[0], degrees[1]);
                 return Err(PipelineError::option("--view", "X,Y", "angles between -90 and 90 degrees", found));
             }
             simulator.from_slope(degrees.map(|angle| angle.to_radians().tan())).radiance

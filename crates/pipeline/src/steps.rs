@@ -56,7 +56,7 @@ pub fn render_field(
 ) -> Result<RenderedField, PipelineError> {
     job.check()?;
     // Place the window, then trace, denoise and expose as a run does.
-    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
     let placement = place::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
     // This function makes no report, so it renders no views that only a report needs.
     let mut job = job.clone();

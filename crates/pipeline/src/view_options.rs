@@ -129,17 +129,17 @@ impl ViewOptions {
             |flag: &str, expected: &str, found: String| Err(PipelineError::value("render", flag, expected, found));
         let denoise = job.render.denoise;
         if !self.only.is_empty() && denoise.filters() {
-            let expected = "`--denoise off`, since the denoiser works on all views together";
+            let expected = "`--denoise off`, since the filter works on all views together";
             return fail("--only-views", expected, format!("`--denoise {}`", denoise.name()));
         }
         if self.variance() {
             if job.render.engine == Engine::Blender {
-                return fail("--layers", "`variance` only with our path tracer", "`--engine blender`".into());
+                return fail("--layers", "our path tracer for the layer `variance`", "`--engine blender`".into());
             }
             let least = if denoise.takes_halves() { 3 } else { 2 };
             let samples = job.render.samples_of_view(views);
             if samples < least {
-                let expected = format!("at least {least} paths per pixel and view for `variance`");
+                let expected = format!("at least {least} paths per pixel and view for the layer `variance`");
                 return fail("--layers", &expected, samples.to_string());
             }
         }
@@ -154,8 +154,12 @@ impl ViewOptions {
                 if let Some([_, last]) = axis
                     && *last >= count
                 {
-                    let expected =
-                        format!("a {name} from 0 to {}, of {} rows × {} columns", count - 1, views[0], views[1]);
+                    let expected = format!(
+                        "a {name} from 0 to {} (the views have {} rows and {} columns)",
+                        count - 1,
+                        views[0],
+                        views[1]
+                    );
                     return Err(PipelineError::value("render", "--only-views", expected, last.to_string()));
                 }
             }

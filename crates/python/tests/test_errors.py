@@ -44,7 +44,7 @@ def test_unknown_displays(arguments: tuple[Any, ...], message: str) -> None:
         ({"frames": 0}, "frames: expected 1 to 1000, found 0"),
         ({"frames": 2.5}, "display: frames: expected a whole number above 0, found 2.5"),
         ({"frames": "two"}, "display: frames: expected a whole number above 0, found the text"),
-        ({"brightness": 1.5}, "brightness: expected above 0, at most 1, found 1.5"),
+        ({"brightness": 1.5}, "brightness: expected a number above 0 and at most 1, found 1.5"),
         ({"brightness": float("nan")}, "expected a finite number"),
         ({"resolution": (0, 4)}, "^display: resolution: expected at least"),
         ({"resolution": (64, 40, 3)}, "resolution: expected a list of 2 values, found a list of length 3"),
@@ -121,7 +121,7 @@ def test_wrong_settings_of_rendering(scene: Path) -> None:
         ({"samples": 1.5}, "render: samples: expected a whole number above 0, found 1.5"),
         ({"denoise": "strong"}, "render: denoise: expected one of auto, off, .*, found `strong`"),
         ({"lens_deg": 91}, "^render: lens_deg: expected 0 to 90, found 91"),
-        ({"camera": "Nobody"}, "window.camera: expected one of"),
+        ({"camera": "Nobody"}, "window.camera: expected a camera's name"),
         ({"depth_scale": 0}, "^render: depth_scale"),
         ({"window": {"form": "bounds"}}, "unknown field `form`.*did you mean `from`"),
         ({"tone": "film"}, "^render: tone: expected one of auto, .*, found `film`"),
@@ -138,7 +138,7 @@ def test_wrong_settings_of_factorization(light_field: LightField, display: Displ
         ({"solver": "newton"}, lumistack.SettingError, "solver: expected one of .*found newton"),
         ({"start": "middle"}, lumistack.SettingError, "^factorize: start: expected one of"),
         ({"iterations": -1}, lumistack.SettingError, "factorize: iterations: expected a whole number, 0 or more, found -1"),
-        ({"brightness": 0.0}, lumistack.SettingError, "brightness: expected above 0"),
+        ({"brightness": 0.0}, lumistack.SettingError, "brightness: expected a number above 0"),
         ({"frames": 0}, lumistack.SettingError, "frames: expected 1 to 1000"),
         ({"weights": numpy.ones((2, 2), "f4")}, lumistack.SettingError, r"^weights: expected shape \[3, 3\]"),
         ({"weights": numpy.ones(3, "f4")}, lumistack.SettingError, r"weights: shape: expected \[view_y\]"),
@@ -205,7 +205,7 @@ def test_geometry_of_arrays(radiance: Any) -> None:
         ({"pitch_mm": 1.0, "fov_deg": (20, 20), "slope_x": [0, 0, 0]}, "expected either `fov_deg` or"),
         ({"pitch_mm": 0.0, "fov_deg": (20, 20)}, "pitch_mm: expected a number above 0, found 0"),
         ({"pitch_mm": 1.0, "fov_deg": (180, 20)}, "fov_deg: expected full angles"),
-        ({"pitch_mm": 1.0, "slope_x": [0.0], "slope_y": [0.0]}, "expected the shape of its geometry"),
+        ({"pitch_mm": 1.0, "slope_x": [0.0], "slope_y": [0.0]}, "expected the shape that the geometry has"),
         ({"pitch_mm": 1.0, "fov_deg": (20, 20), "distance_mm": -1.0}, "distance_mm: expected a viewing distance"),
         ({"display": "paper-three-layer"}, "expected views of 525 × 840 pixels"),
         ({"display": "paper-three-layer", "pitch_mm": 1.0}, "found both"),
@@ -218,7 +218,7 @@ def test_patterns_that_do_not_fit(light_field: LightField, display: Display) -> 
     layers = [numpy.zeros(shape, "f4") for shape in display.layer_shapes]
     with pytest.raises(lumistack.DataError, match="layers: expected 3, found 2"):
         LayerStack(layers[:2], display)
-    with pytest.raises(lumistack.DataError, match="shape of layer 1"):
+    with pytest.raises(lumistack.DataError, match="of layer 1: expected"):
         LayerStack([layers[0], layers[1][:, 1:], layers[2]], display)
     layers[2][0, 0, 0, 0] = 1.5
     with pytest.raises(lumistack.DataError, match="layer 2: expected values in 0..1, found 1.5"):
@@ -289,7 +289,7 @@ def test_warnings_speak_python(tmp_path: Path) -> None:
         "buffers": [{"byteLength": 36, "uri": f"data:application/octet-stream;base64,{corners}"}],
     }
     (tmp_path / "dark.gltf").write_text(json.dumps(scene))
-    with pytest.warns(lumistack.LumistackWarning, match='light={"automatic": False} leaves it out'):
+    with pytest.warns(lumistack.LumistackWarning, match='light={"automatic": False} prevents the studio light'):
         lumistack.render(tmp_path / "dark.gltf", Display("fig7-uniform", resolution=(8, 5)), samples=1)
 
 
@@ -297,11 +297,11 @@ def test_values_that_no_display_shows_are_named_and_can_be_brought_into_range(li
     radiance = numpy.array(light_field.radiance)
     radiance[1, 1, 3, 5, 0] = 1e4
     bright = LightField(radiance, display=display)
-    share = r"1 of \d+ values are above 1; the largest is 10000.*light_field\.exposed"
+    share = r"values above 1: 1 of \d+ values; the largest value is 10000.*light_field\.exposed"
     with pytest.warns(lumistack.LumistackWarning, match=share):
         stack = lumistack.factorize(bright, iterations=2)
     measured = lumistack.report(stack, bright, tmp_path / "bright")
-    assert any("are above 1" in warning["message"] for warning in measured["warnings"])
+    assert any("values above 1" in warning["message"] for warning in measured["warnings"])
     assert measured["psnr_view"] < 0.0, "one ray decides the figure, and the report says so"
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -320,9 +320,9 @@ def test_a_directional_backlight_follows_the_light_field() -> None:
     field = LightField(numpy.full((5, 5, 20, 32, 3), 0.5, "f4"), pitch_mm=2.0, fov_deg=(20.0, 20.0))
     adapted = Display("fig7-directional").adapted_to(field)
     assert adapted.emission_shape is not None and adapted.emission_shape[1:3] == (5, 5)
-    with pytest.warns(lumistack.LumistackWarning, match="the directional backlight follows the light field: 5 × 5 bins"):
+    with pytest.warns(lumistack.LumistackWarning, match="the directional backlight is adapted to the light field: 5 × 5 bins"):
         lumistack.factorize(field, "fig7-directional", iterations=1)
     slopes = [0.001 * i for i in range(17)]
     fan = LightField(numpy.zeros((17, 17, 20, 32, 3), "f4"), pitch_mm=20.0, slope_x=slopes, slope_y=slopes[::-1], distance_mm=500.0)
-    with pytest.raises(lumistack.SettingError, match="17 views 0.0010 apart"):
+    with pytest.raises(lumistack.SettingError, match="17 views whose slopes are 0.0010 apart"):
         Display("fig7-directional").adapted_to(fan)

@@ -128,14 +128,14 @@ impl DepthBudget {
             Some([low, high]) => {
                 let [low, high] = [low, high].map(|z| format::number(z.round()));
                 format!(
-                    "{} of what is seen lies in the depth of field, {low} to {high} mm",
+                    "{} of the visible surfaces lie in the depth of field, {low} to {high} mm",
                     format::percent(self.inside)
                 )
             }
         };
         let fitted = if self.fitted { self.fitting() } else { String::new() };
         format!(
-            "{lies}{fitted}; between neighbouring views 98 % of the content moves by at most {most} px, and all of it by at most {largest} px"
+            "{lies}{fitted}; between neighbouring views 98 % of the content moves by at most {most} px, and all content by at most {largest} px"
         )
     }
 
@@ -150,7 +150,10 @@ impl DepthBudget {
         if self.depth_scale != 1.0 {
             done.push(format!("depth was compressed to {}", format::percent(self.depth_scale)));
         }
-        format!("; to fit the scene, {} (`fit_depth = \"off\"` prevents this)", done.join(" and "))
+        format!(
+            "; to fit the scene, {} (`fit_depth = \"off\"` leaves window and depth as they are)",
+            done.join(" and ")
+        )
     }
 
     /// Returns advice if the scene does not fit; `None` if it fits.
@@ -159,11 +162,12 @@ impl DepthBudget {
             return None;
         }
         let share = format::percent(self.inside);
-        let few =
-            format!("only {share} of what is seen lies in the display's depth of field, and the rest loses detail");
+        let few = format!(
+            "only {share} of the visible surfaces lie in the display's depth of field, and all other surfaces lose detail"
+        );
         Some(if self.fitted {
             format!(
-                "{few}, although the scene was fitted. Bring its far content nearer, or set the camera's focus distance at the subject"
+                "{few}, although Lumistack has already moved the window or compressed the depth. Bring the far content of the scene nearer, or set the camera's focus distance to the subject"
             )
         } else {
             format!(
@@ -237,7 +241,9 @@ mod tests {
         let bar = ((79.0 - budget.by_depth.low) / budget.by_depth.width) as usize;
         assert_eq!(budget.by_depth.shares[bar], 0.25);
         assert_eq!(budget.advice(), None);
-        assert!(budget.sentence().starts_with("75.0 % of what is seen lies in the depth of field, −80 to 80 mm;"));
+        assert!(
+            budget.sentence().starts_with("75.0 % of the visible surfaces lie in the depth of field, −80 to 80 mm;")
+        );
         let few = DepthBudget::measure(&display, &geometry, &[-100.0, 100.0, 0.0], &[0.0]);
         assert!(few.advice().is_some_and(|advice| advice.contains("only 33.3 %") && advice.contains("--fit-depth")));
         let fitted = DepthBudget { fitted: true, ..few };

@@ -83,7 +83,7 @@ impl Light {
         }
         if self.open < input.stack.brightness - 1e-6 {
             text += &format!(
-                " A white of brightness β, {}, is out of reach: the brightest that this display can show is {}.",
+                " A white of brightness β, {}, cannot be shown: the brightest white of this display has {}.",
                 format::percent(input.stack.brightness),
                 format::percent(self.open)
             );

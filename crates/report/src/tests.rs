@@ -261,8 +261,14 @@ fn texts_are_escaped_and_everything_given_is_shown() {
     assert_eq!(report.json["title"], evil);
     assert_eq!(report.json["convergence"][3]["psnr_view"], 23.5);
     assert_eq!(report.json["solution"]["levels"]["reoptimized"], 36.5);
-    assert!(report.html.contains("Solver extrapolated, start content, at half the resolution first."));
-    assert!(report.html.contains("30.0 dB rounded to the levels, 36.5 dB optimized again"), "{}", report.html);
+    assert!(report.html.contains("Solver extrapolated, start content, first at half the resolution."));
+    assert!(
+        report
+            .html
+            .contains("30.0 dB with values that are rounded to the levels, and 36.5 dB after another optimization"),
+        "{}",
+        report.html
+    );
     assert!(report.json["convergence"][2]["psnr_view"].is_null());
     assert_eq!(report.json["seconds_total"], 62.5);
     assert_eq!(report.json["warnings"][0]["place"], evil);

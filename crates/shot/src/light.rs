@@ -77,11 +77,11 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     let has_lamps = !scene.lights.is_empty() || scene.materials.iter().any(|material| material.lamp != Lamp::No);
     let message = if has_lamps {
         (lit < LIT_BY_LAMPS * count).then_some(
-            "its own lamps leave almost all visible surfaces dark, so the studio light is added; `light.automatic = false` leaves it out",
+            "the scene's own lamps leave almost all visible surfaces dark, so the studio light is added; `light.automatic = false` prevents the studio light",
         )
     } else {
         (lit < LIT_BY_GLOW * count).then_some(
-            "its glowing surfaces leave most visible surfaces dark, so the studio light is added; `light.automatic = false` leaves it out",
+            "the scene's glowing surfaces leave most visible surfaces dark, so the studio light is added; `light.automatic = false` prevents the studio light",
         )
     };
     Ok(message)

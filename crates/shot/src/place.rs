@@ -158,7 +158,7 @@ pub fn place<S: Subject>(
     };
     if fit.is_refused {
         let message = format!(
-            "{:.0} % of what is seen lies outside the display's depth of field, and no compression of depth down to {:.0} % brings more into it. So the window \
+            "{:.0} % of the visible surfaces lie outside the display's depth of field, and no compression of depth down to {:.0} % brings more surfaces inside. So the window \
              stays where it is, and depth stays as it is. The window should be at the subject: set the camera's focus distance (in Blender: Depth of Field, \
              Focus on Object)",
             100.0 * fit.outside,
@@ -167,7 +167,7 @@ pub fn place<S: Subject>(
         task.warn("window.fit_depth", message);
     } else if fit.left_out > MAY_LEAVE_OUT {
         let message = format!(
-            "the farthest {:.0} % of what is seen would flatten the rest, so it stays outside the depth of field and is blurred",
+            "the farthest {:.0} % of the visible surfaces stay outside the depth of field and are blurred, since a stronger compression would flatten all other surfaces",
             100.0 * fit.left_out
         );
         task.warn("window.fit_depth", message);

@@ -42,7 +42,7 @@ pub(super) fn follow_lines(mut lines: impl BufRead, requests: &Requests, refuse:
         match std::io::Read::take(&mut lines, LINE as u64).read_until(b'\n', &mut line) {
             Ok(0) | Err(_) => return,
             Ok(LINE) if !line.ends_with(b"\n") => {
-                refuse(format!("expected at most {LINE} bytes on one line, found more"));
+                refuse(format!("expected at most {LINE} bytes on one line, found a longer line"));
                 if lines.skip_until(b'\n').is_err() {
                     return;
                 }
@@ -77,9 +77,9 @@ fn carry_out(line: &str, requests: &Requests) -> Result<(), String> {
 fn commands_of(line: &str) -> Result<Vec<Command>, String> {
     const EXPECTED: &str = "an object with `set`, `time`, `viewers`, `reload`, `stop` or `stop_at_end`";
     let all: Map<String, Value> = serde_json::from_str(line)
-        .map_err(|error| format!("expected {EXPECTED} on one line, found no such JSON: {error}"))?;
+        .map_err(|error| format!("expected {EXPECTED} on one line, found a line that is no JSON object: {error}"))?;
     if all.is_empty() {
-        return Err(format!("expected {EXPECTED}, found an empty one"));
+        return Err(format!("expected {EXPECTED}, found an empty object"));
     }
     let one = |(name, value): (String, Value)| {
         let wrong = |expected: &str, value: &Value| Err(format!("{name}: expected {expected}, found {value}"));
@@ -164,7 +164,10 @@ mod tests {
             let (number, request) = requests.newest.after(0).unwrap();
             let refused = usize::from(excess > 0);
             assert_eq!((number - before, request.job.pose.time_s), (2 - refused as u64, Some(1.0)));
-            assert_eq!(errors.into_inner(), vec!["expected at most 1048576 bytes on one line, found more"; refused]);
+            assert_eq!(
+                errors.into_inner(),
+                vec!["expected at most 1048576 bytes on one line, found a longer line"; refused]
+            );
         }
     }
 
@@ -181,7 +184,7 @@ mod tests {
     fn errors_state_the_expected_line() {
         for (line, message) in [
             ("[]", "expected an object with `set`, `time`, `viewers`, `reload`, `stop` or `stop_at_end` on one line"),
-            ("{}", "found an empty one"),
+            ("{}", "found an empty object"),
             ("{\"sett\": {}}", "found `sett`"),
             ("{\"set\": 3}", "set: expected an object of keys"),
             ("{\"time\": \"now\"}", "time: expected seconds"),

@@ -168,9 +168,11 @@ impl Door {
         let (first, rest) = first_line(program)?;
         let first: Value = serde_json::from_slice(&first).unwrap_or_default();
         if first["token"] != *self.token {
-            let text =
-                format!("token: expected a first line {{\"token\": TOKEN}} with the token in {}", self.path.display());
-            return write_line(program, &refused(&format!("{text}, found another")));
+            let text = format!(
+                "token: expected the first line {{\"token\": TOKEN}} with the token of {}",
+                self.path.display()
+            );
+            return write_line(program, &refused(&format!("{text}, found another line")));
         }
         let Some(number) = events.attach(program)? else {
             return write_line(program, &refused("a program is attached already; only one program can be attached"));

@@ -154,7 +154,8 @@ impl<'a> PageFeed<'a> {
             None => Arc::new(self.edition(number, key, state)?),
         };
         let files = edition.entries.iter().map(|entry| picture_of(&state.stack, entry)).collect::<Option<Vec<_>>>();
-        let unknown = || PipelineError::value(self.site, "preview", "files of layers and backlight", "others");
+        let unknown =
+            || PipelineError::value(self.site, "preview", "files of layers and of the backlight", "other files");
         Ok(Made { number, edition, files: Arc::new(files.ok_or_else(unknown)?) })
     }
 

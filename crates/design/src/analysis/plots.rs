@@ -55,7 +55,8 @@ impl Analysis {
         };
         let mut drawn = plot::curves(&axes, &curves, &scene.map_or(Vec::new(), bars), &levels)?;
         if scene.is_some() {
-            drawn = drawn.replacen("aria-label=\"", "aria-label=\"Grey: hits of the scene, by depth. ", 1);
+            drawn =
+                drawn.replacen("aria-label=\"", "aria-label=\"Grey: fraction of the scene's hits at each depth. ", 1);
         }
         Ok(drawn)
     }

@@ -26,7 +26,7 @@ impl Analysis {
         if !self.bound_holds {
             line(
                 "",
-                "the layers' light adds up: the bound is achieved on the planes of the layers, and not between them"
+                "the light of the layers adds up, so the display reaches the bound on the planes of the layers, but not between the layers"
                     .into(),
             );
         }
@@ -41,7 +41,7 @@ impl Analysis {
         line(
             "Prefilter",
             format!(
-                "the mean over a pixel, and over {footprint} in slope (a view's bin is {:.4} × {:.4})",
+                "the mean of the light over each pixel, and over a range of slopes of {footprint} (the slopes of neighbouring views are {:.4} × {:.4} apart)",
                 self.zone.step[0], self.zone.step[1]
             ),
         );
@@ -89,7 +89,7 @@ impl Analysis {
         };
         let values = [0.0, 0.125, 0.25, 0.5, 1.0].map(|share| share * reach);
         let values = values.map(|z| format!("{:.2} at {} mm", at(z), number(z)));
-        format!("relative to the finest detail of the pixels: {}", values.join(", "))
+        format!("highest frequency, relative to the finest detail of the pixels: {}", values.join(", "))
     }
 
     fn zone_text(&self) -> String {
@@ -103,7 +103,7 @@ impl Analysis {
             "views outside of the zone are not constrained"
         };
         format!(
-            "{h}° × {v}°, {} × {} views {step:.2}° apart; the whole display is seen from {} mm on, and at {} mm from an area of {width} × {height} mm; {:.1} views between \
+            "{h}° × {v}°, {} × {} views {step:.2}° apart; the whole display is visible at distances of {} mm and more, and at {} mm from an area of {width} × {height} mm; {:.1} views lie between \
              two eyes; {beside}",
             zone.views[0],
             zone.views[1],
@@ -120,22 +120,26 @@ impl Analysis {
         }
         let wanted = number(timing.wanted_hz);
         let flicker = if timing.flickers {
-            format!("so it flickers; at {wanted} Hz there are 60 periods a second")
+            format!("so it flickers. At {wanted} Hz it shows 60 periods per second")
         } else {
             "so it does not flicker".into()
         };
         let (refreshes, hz) = (timing.subframes, number(timing.refresh_hz));
-        format!("{refreshes} refreshes at {hz} Hz: {:.1} periods a second, {flicker}", timing.period_hz)
+        format!(
+            "a period of {refreshes} refreshes; at {hz} Hz the display shows {:.1} periods per second, {flicker}",
+            timing.period_hz
+        )
     }
 
     fn brightness_text(&self) -> String {
         let light = &self.brightness;
-        let mut text = format!("β = {}: {:.1} % of the backlight for white", light.beta, 100.0 * light.beta);
+        let mut text =
+            format!("β = {}: white has {:.1} % of the backlight's luminance", light.beta, 100.0 * light.beta);
         if light.white < 1.0 {
-            let _ = write!(text, "; the layers let through {:.1} % at most", 100.0 * light.white);
+            let _ = write!(text, "; the layers transmit at most {:.1} %", 100.0 * light.white);
         }
         if light.beta > light.white {
-            text.push_str(", so this β cannot be reached");
+            text.push_str(", so the display cannot reach this β");
         }
         if light.black > 0.0 {
             let _ = write!(text, "; contrast {:.0}:1", light.white / (light.black * light.white));
@@ -153,11 +157,11 @@ fn closed(form: &Closed) -> String {
         );
     }
     let differs = if *largest_difference < 1e-6 {
-        "the same as the general form".into()
+        "the closed form equals the bound".into()
     } else {
         let percent = 100.0 * largest_difference;
         format!(
-            "the bound differs by {percent:.1} % at {} mm, by {:+.1} % far away",
+            "the bound differs from the closed form by {percent:.1} % at {} mm, and by {:+.1} % far from the display",
             number(*at_mm),
             100.0 * difference_far
         )

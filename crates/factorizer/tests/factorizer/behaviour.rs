@@ -134,7 +134,7 @@ fn what_does_not_fit_is_named() {
     assert_eq!(text, "target, view [1, 2], row 3, column 4, green: expected a finite value, found NaN");
     *owned.target.radiance_mut().at_mut([1, 2, 3, 4, 1]) = 0.5;
     owned.display.brightness = 0.0;
-    assert!(message(&owned, &iterations(1), None).starts_with("display: brightness: expected above 0"));
+    assert!(message(&owned, &iterations(1), None).starts_with("display: brightness: expected a number above 0"));
 }
 
 #[test]

@@ -52,12 +52,22 @@ pub struct DisplaysComparison {
 /// If the run has no nodes or no target, or files cannot be read or written.
 pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Result<DisplaysComparison, PipelineError> {
     if run.is_dir() && !run.join("job.toml").exists() {
-        return Err(PipelineError::value(run, "folder", "a run, with job.toml in it", "a folder without job.toml"));
+        return Err(PipelineError::value(
+            run,
+            "folder",
+            "a run folder, which contains job.toml",
+            "a folder without job.toml",
+        ));
     }
     let job = Job::load(&run.join("job.toml"))?;
     if job.nodes.is_empty() {
         let expected = "the run of a job with `[[nodes]]`, or a second run or photograph to compare with";
-        return Err(PipelineError::value(run, "nodes", expected, "none"));
+        return Err(PipelineError::value(
+            run,
+            "nodes",
+            expected,
+            "a run without nodes, and nothing to compare the run with",
+        ));
     }
     let target = target_of(run)?
         .ok_or_else(|| PipelineError::value(run, "target", "a light field in the run folder", "none"))?;

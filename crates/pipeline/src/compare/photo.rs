@@ -96,7 +96,7 @@ pub fn compare_photo(
                 PipelineError::option(
                     "--focal-35mm",
                     "MM",
-                    "a focal length that fits the corners",
+                    "a focal length with which a camera sees the display's corners at the pixels of --corners",
                     focal_mm.to_string(),
                 )
             })?;
@@ -122,7 +122,7 @@ pub fn compare_photo(
     }
     let gain = products / squares;
     if !gain.is_finite() {
-        let found = format!("{:.0} % of its pixels clipped, and all others black", 100.0 * clipped);
+        let found = format!("{:.0} % of the display's pixels clipped, and all other pixels black", 100.0 * clipped);
         return Err(PipelineError::value(
             photo,
             "exposure",

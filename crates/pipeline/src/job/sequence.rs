@@ -74,11 +74,15 @@ impl SequenceJob {
         }
         // Keys that have no effect for this input are mistakes, so they are errors.
         if (self.turn_deg != 0.0 || self.shift_mm != [0.0; 3]) && !has_scene {
-            return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "these keys without a scene".into());
+            return fail(
+                "sequence",
+                "a job with `scene` for the keys `turn_deg` and `shift_mm`",
+                "a job without `scene`".into(),
+            );
         }
         if self.duration_s != 0.0 && has_light_field {
-            let expected = "`duration_s` for a scene or a source only";
-            return fail("sequence", expected, "`duration_s` with light fields".into());
+            let expected = "a job with `scene` or `source` for the key `duration_s`";
+            return fail("sequence", expected, "a job with light fields".into());
         }
         // Check ranges. The types allow any number, also NaN.
         if self.chunk_times == Some(0) {
@@ -87,16 +91,20 @@ impl SequenceJob {
         if let Some(times) = self.warm_up_times
             && !self.chunk_times.is_some_and(|chunk| (1..=chunk).contains(&times))
         {
-            return fail("sequence.warm_up_times", "1 to `chunk_times`, which must be set", times.to_string());
+            return fail(
+                "sequence.warm_up_times",
+                "a number from 1 to `chunk_times`, which must also be set",
+                times.to_string(),
+            );
         }
         if !self.duration_s.is_finite() {
-            return fail("sequence.duration_s", "a finite time", self.duration_s.to_string());
+            return fail("sequence.duration_s", "a finite number of seconds", self.duration_s.to_string());
         }
         if !self.turn_deg.is_finite() {
-            return fail("sequence.turn_deg", "a finite angle", self.turn_deg.to_string());
+            return fail("sequence.turn_deg", "a finite number of degrees", self.turn_deg.to_string());
         }
         if !self.shift_mm.iter().all(|shift| shift.is_finite()) {
-            return fail("sequence.shift_mm", "finite lengths", format!("{:?}", self.shift_mm));
+            return fail("sequence.shift_mm", "three finite lengths in millimetres", format!("{:?}", self.shift_mm));
         }
         Ok(())
     }

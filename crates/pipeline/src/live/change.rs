@@ -61,8 +61,14 @@ fn wrong_value(key: &str, message: &str, found: String) -> PipelineError {
         return PipelineError::job(key, format!("one of the keys {}", names.join(", ")), format!("an {unknown}{hint}"));
     }
     let message = plain(message, last);
-    let expected = message.strip_prefix("expected ").and_then(|rest| rest.rsplit_once(", found "));
-    PipelineError::job(key, expected.map_or(&message[..], |(expected, _)| expected), found)
+    let expected = match message.split_once(", expected ") {
+        Some((text, known)) if text.starts_with("unknown variant") => known,
+        _ => message
+            .strip_prefix("expected ")
+            .and_then(|rest| rest.rsplit_once(", found "))
+            .map_or(&message[..], |(expected, _)| expected),
+    };
+    PipelineError::job(key, expected, found)
 }
 
 #[cfg(test)]

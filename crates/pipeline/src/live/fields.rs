@@ -135,7 +135,7 @@ impl LiveFields {
     fn render(&mut self, registry: &Registry, task: Task<'_>) -> Result<Option<Target>, PipelineError> {
         // Ingest the scene. After an error the earlier scene remains.
         let (job, display) = (&self.job, self.display.clone());
-        let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+        let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
         let path = job.scene.clone().unwrap_or_default();
         let name = path.to_string_lossy();
         let key_of_scene = json!([name, self.edition, (INGEST.reads)(job)]);
@@ -247,10 +247,10 @@ fn expose(tone_mapping: ToneMapping, job: &Job, shot: Shot<'_>, views: &Progress
 fn display_of(job: &Job) -> Result<Display, PipelineError> {
     job.check()?;
     let refused = [
-        ("nodes", "one display, without nodes", !job.nodes.is_empty()),
-        ("sweep", "one display, without a sweep", job.sweep.is_some()),
+        ("nodes", "a job without nodes, since a live display is a single display", !job.nodes.is_empty()),
+        ("sweep", "a job without a sweep, since a live display is a single display", job.sweep.is_some()),
         ("sequence", "a job without a sequence, since commands set the time of a live display", job.sequence.is_some()),
-        ("source", "a scene or a light field", job.source.is_some()),
+        ("source", "a job with a scene or a light field instead of a source", job.source.is_some()),
     ];
     if let Some((key, expected, _)) = refused.into_iter().find(|(.., is_there)| *is_there) {
         return Err(PipelineError::job(key, expected, format!("`{key}`")));
@@ -259,6 +259,6 @@ fn display_of(job: &Job) -> Result<Display, PipelineError> {
     let [cols, rows] = display.field.resolution;
     let most = job.most_views(&display).min(MOST_VIEWS).min(job.render.affordable_views(cols * rows));
     let display = display.with_views_chosen(most);
-    let _: FieldGeometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    let _: FieldGeometry = display.geometry().map_err(|source| display_error(source, "display"))?;
     Ok(display)
 }

@@ -159,7 +159,7 @@ impl<'a> Executor<'a> {
 
     fn index(&self, id: &str) -> Result<usize, PipelineError> {
         let known = self.ids.get(id).copied();
-        known.ok_or_else(|| PipelineError::value("plan", "step", "the id of a step", format!("`{id}`")))
+        known.ok_or_else(|| PipelineError::value("plan", "step", "the id of a step of the plan", format!("`{id}`")))
     }
 
     fn run(&mut self, index: usize) -> Result<(), PipelineError> {

@@ -270,7 +270,7 @@ impl Sweep<'_> {
                 let (row, name, kept) = self.solver.solve(candidate, iterations, self.task.cancel)?;
                 self.used.lock().unwrap_or_else(PoisonError::into_inner).insert(name);
                 finished.fetch_add(1, Ordering::Relaxed);
-                let from_before = if kept { ", solved before" } else { "" };
+                let from_before = if kept { ", solved by an earlier sweep" } else { "" };
                 progress.advance(1, &format!("{:.1} dB{from_before}", row.quality_db()));
                 Ok((row, kept))
             })
@@ -282,7 +282,7 @@ impl Sweep<'_> {
                 let (done, all) = (finished.load(Ordering::Relaxed), candidates.len());
                 let folder = folder.display();
                 let message = format!(
-                    "stopped with {done} of {all} designs in {folder}; run the same command again to continue from them"
+                    "stopped; finished designs in {folder}: {done} of {all}; the same command solves the other designs"
                 );
                 self.task.warn("sweep", message);
             }

@@ -192,7 +192,7 @@ impl Times {
         let shift = [x, y, z].map(|shift| format!("{:.1}", share * shift)).join(", ");
         let pose_s = pose_at(job, &self.sequence, share).time_s;
         let at = pose_s.map_or(String::new(), |time_s| format!("at {time_s:.3} s, "));
-        format!("{at}window turned by {turn:.1}°, moved by ({shift}) mm")
+        format!("{at}window turned by {turn:.1}° and moved by ({shift}) mm")
     }
 
     fn source_at(&self, first: &SourceJob, time: usize) -> SourceJob {
@@ -288,7 +288,7 @@ fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, Pip
         None => format!("1 to {} light fields, one per time step", SequenceJob::MOST),
     };
     if paths.len() < wanted || !(1..=SequenceJob::MOST).contains(&wanted) {
-        let found = format!("{} light fields (folders, .npy files or pictures)", paths.len());
+        let found = format!("{} (folders, .npy files and pictures can be light fields)", paths.len());
         return Err(PipelineError::value(folder, "content of the folder", expected, found));
     }
     paths.truncate(wanted);

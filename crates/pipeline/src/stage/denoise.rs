@@ -74,12 +74,12 @@ pub(crate) fn check(kind: Denoise, job: &Job, geometry: &FieldGeometry) -> Resul
         Denoise::Oidn => Oidn::find().map(drop),
         Denoise::Guided if mib > job.render.field_mib => {
             let expected = format!(
-                "`field_mib` of {mib} or more for `guided`, which holds all views in memory, or `shared`, which needs less"
+                "`render.field_mib` of {mib} or more for `guided`, which holds all views in memory, or the filter `shared`, which needs less memory"
             );
             Err(PipelineError::job(
                 "render.denoise",
                 expected,
-                format!("`guided` with `field_mib` = {}", job.render.field_mib),
+                format!("`guided` with `render.field_mib` of {}", job.render.field_mib),
             ))
         }
         _ => Ok(()),
@@ -290,7 +290,7 @@ pub(crate) fn denoised(
             &path,
             "content",
             "the scores that were just written",
-            "other scores, or none; another program changes this folder",
+            "other scores or none; another program changes the folder",
         )
     };
     let mut figures = read_figures(&folder).ok_or_else(missing)?;

@@ -69,7 +69,7 @@ impl SolverDevice {
     ) -> Result<T, PipelineError> {
         match work(self) {
             Err(PipelineError::Factorize(error @ FactorizeError::Device { .. })) if self.is_optional() => {
-                task.warn("device", format!("{error}; solving on the processor instead"));
+                task.warn("device", format!("{error}; the processor computes the patterns instead"));
                 *self = Self::Processor;
                 work(self)
             }

@@ -147,7 +147,7 @@ pub(crate) fn check_geometry(
             geometry.cols, geometry.rows, geometry.pitch_mm, geometry.grid.slope_x, geometry.grid.slope_y
         )
     };
-    let expected = format!("the same rays as in {place}, {}", text(expected));
+    let expected = format!("the same rays as in {place}: {}", text(expected));
     Err(PipelineError::value(path, "geometry", expected, text(found)))
 }
 
@@ -158,8 +158,8 @@ pub(crate) fn field_defaults(display: &Display) -> GeometryDefaults {
 
 pub(crate) fn warn_of_depth(budget: &DepthBudget, task: Task<'_>) {
     if !budget.is_seen() {
-        let message = "no surface is seen, so the picture is empty. --look-from AZ,EL frames the scene from another side, --camera uses another \
-                       camera, --near=off also shows surfaces in front of the near limit";
+        let message = "no surface is seen, so the picture is empty. Remedies: --look-from AZ,EL shows the scene from another side, --camera uses another \
+                       camera, and --near=off also shows surfaces in front of the near limit";
         task.warn("window", message);
     }
     if let Some(advice) = budget.advice() {
@@ -306,8 +306,8 @@ pub(crate) fn array_weights(
             Tensor::from_vec(["view_y", "view_x", "row", "col"], [y, x, rows, cols], data).map(Weights::PerRay)
         }
         other => {
-            let expected = "[view_y][view_x] or [view_y][view_x][row][col]";
-            return Err(PipelineError::value(path, "shape", expected, format!("{other:?}")));
+            let expected = "an array [view_y][view_x] or [view_y][view_x][row][col]";
+            return Err(PipelineError::value(path, "shape", expected, format!("an array of shape {other:?}")));
         }
     }
     .map_err(|error| PipelineError::value(path, "weights", "values that fill the shape", error.to_string()))?;

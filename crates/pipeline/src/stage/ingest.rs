@@ -258,7 +258,7 @@ fn load_gltf(
 ) -> Result<Read, PipelineError> {
     let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     if let Some(variants) = variants.first() {
-        let expected = "none, since only USD has variant sets; `pose.variant` selects a material variant of glTF";
+        let expected = "no value, since only USD has variant sets; `pose.variant` selects a material variant of glTF";
         return Err(PipelineError::value(path, "pose.variants", expected, variants));
     }
     // The resolver records all files that the loader reads.
@@ -315,7 +315,8 @@ fn load_blend(
     let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     let given = [("animation", animation), ("variant", variant), ("variants", variants.into_iter().next())];
     if let Some((key, found)) = given.into_iter().find_map(|(key, given)| Some((key, given?))) {
-        let expected = "none, since a .blend file is converted in the state that it has in Blender at `pose.time_s`";
+        let expected =
+            "no value, since a .blend file is converted in the state that the file has in Blender at `pose.time_s`";
         return Err(PipelineError::value(path, format!("pose.{key}"), expected, found));
     }
     let HandedOver { glb, account } = handover::hand_over(path, time_s, cache_dir, task)?;

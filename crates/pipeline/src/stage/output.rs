@@ -138,7 +138,7 @@ pub(crate) fn run(
         Err(PipelineError::Cancelled) => Err(PipelineError::Cancelled),
         Err(error) => {
             let reason = error.to_string();
-            task.warn(relative.trim_start_matches("../"), format!("not written: {reason}"));
+            task.warn(relative.trim_start_matches("../"), format!("the output was not written: {reason}"));
             Ok((Output { label: output.name().into(), path: relative.into(), failed: Some(reason) }, false))
         }
     }

@@ -50,11 +50,9 @@ pub(crate) fn run(
 }
 
 /// Remedies for values outside 0..1, as options of the command.
-pub(crate) const REMEDY_IN_COMMAND: &str =
-    "--exposure-ev STOPS scales the values, --tone linear clips them, --tone khronos-neutral or agx compresses them";
+pub(crate) const REMEDY_IN_COMMAND: &str = "--exposure-ev STOPS scales all values, --tone linear clips values, and --tone khronos-neutral or agx compresses values";
 /// Remedies for values outside 0..1, as functions of the Python package.
-pub(crate) const REMEDY_IN_PYTHON: &str =
-    "light_field.exposed(stops) scales and clips the values, tone=\"khronos-neutral\" or \"agx\" compresses them";
+pub(crate) const REMEDY_IN_PYTHON: &str = "light_field.exposed(stops) scales and clips all values; with tone=\"khronos-neutral\" or \"agx\" this method compresses values instead of clipping";
 
 /// Returns the angular footprint of a display that is adapted to a light field. It is the width of
 /// the range of slopes that the display cannot separate. If the display cannot be adapted, returns
@@ -117,18 +115,21 @@ impl OutOfRange {
         if self.above > 0 {
             let stops = -f64::from(self.largest).log2();
             parts.push(format!(
-                "{} are above 1; the largest is {} (an exposure of {stops:.2} stops brings it to 1)",
+                "values above 1: {}; the largest value is {} (an exposure of {stops:.2} stops reduces this value to 1)",
                 share(self.above),
                 self.largest
             ));
         }
         if self.below > 0 {
-            parts.push(format!("{} are below 0; the smallest is {}", share(self.below), self.smallest));
+            parts.push(format!("values below 0: {}; the smallest value is {}", share(self.below), self.smallest));
         }
         if self.not_finite > 0 {
-            parts.push(format!("{} are not finite", share(self.not_finite)));
+            parts.push(format!("values that are not finite: {}", share(self.not_finite)));
         }
-        format!("{}. A display shows only 0 to 1, so these values lower the PSNR. Remedies: {offer}", parts.join("; "))
+        format!(
+            "{}. A display shows only values from 0 to 1, so all other values lower the PSNR. Remedies: {offer}",
+            parts.join("; ")
+        )
     }
 }
 
@@ -146,8 +147,7 @@ mod tests {
         let data = field.radiance_mut().data_mut();
         data[17] = 1e4;
         let message = OutOfRange::of(&field).unwrap().message("nothing");
-        let expected =
-            "1 of 180000 values are above 1; the largest is 10000 (an exposure of -13.29 stops brings it to 1)";
+        let expected = "values above 1: 1 of 180000 values; the largest value is 10000 (an exposure of -13.29 stops reduces this value to 1)";
         assert!(message.starts_with(expected), "{message}");
         let data = field.radiance_mut().data_mut();
         data[..18_000].fill(2.0);
@@ -155,9 +155,9 @@ mod tests {
         data[20_000] = f32::NAN;
         let message = OutOfRange::of(&field).unwrap().message("nothing");
         for part in [
-            "10.00 % of all values are above 1; the largest is 2 ",
-            "0.50 % of all values are below 0; the smallest is -0.5",
-            "1 of 180000 values are not finite",
+            "values above 1: 10.00 % of all values; the largest value is 2 ",
+            "values below 0: 0.50 % of all values; the smallest value is -0.5",
+            "values that are not finite: 1 of 180000 values",
         ] {
             assert!(message.contains(part), "{message}");
         }

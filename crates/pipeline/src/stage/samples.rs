@@ -79,7 +79,7 @@ pub(crate) fn measured(
     cache_dir: &Path,
     task: Task<'_>,
 ) -> Result<Option<Samples>, PipelineError> {
-    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
     let views = geometry.grid.iter().count();
     let is_ours = match job.render.engine {
         Engine::Lumistack => true,

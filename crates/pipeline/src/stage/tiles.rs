@@ -172,7 +172,7 @@ pub(crate) fn run_tile(
 ) -> Result<(), PipelineError> {
     let tiles = Tiles::of(solve.job, solve.display, solve.geometry);
     let Some(tiles) = tiles.filter(|tiles| tiles.count() == count && round < tiles.rounds && number < count) else {
-        let expected = "a tile of this solve";
+        let expected = "a tile of the planned solve";
         return Err(PipelineError::value("plan", "unit", expected, format!("tile {} of {count}", number + 1)));
     };
     let warm = if round == 0 { warm_stack(solve.job, solve.display)? } else { None };

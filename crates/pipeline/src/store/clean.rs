@@ -69,7 +69,7 @@ pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cle
         return Err(PipelineError::value(
             dir,
             "folder",
-            "the folder of a run, a sequence, a sweep or of rendered views",
+            "the folder of a run, of a sequence, of a sweep or of rendered views",
             found,
         ));
     }
@@ -145,9 +145,9 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
     kinds.push(("scenes that Blender converted", stale.map(|(_, path)| path).collect()));
     if all {
         let placed = placed.into_iter().filter(|(name, _)| of_kind(name, &PLACED));
-        kinds.push(("places of the window", placed.map(|(_, path)| path).collect()));
+        kinds.push(("cached positions of the window", placed.map(|(_, path)| path).collect()));
         let warm_up = cache.join("warm-up");
-        kinds.push(("warm-ups of chunks", if is_folder(&warm_up) { vec![warm_up] } else { Vec::new() }));
+        kinds.push(("cached warm-up time steps", if is_folder(&warm_up) { vec![warm_up] } else { Vec::new() }));
     }
     // List the light fields and the rows that the last sweep did not use.
     if dir.join("sweep.json").is_file()
@@ -160,7 +160,7 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
         } else {
             unused_in(&dir.join("designs"), &used.designs)
         };
-        kinds.push(("rows of designs", rows));
+        kinds.push(("cached scores of designs", rows));
     }
     // Folders that are removed as a whole need no search.
     let gone: Vec<PathBuf> = kinds.iter().flat_map(|(_, paths)| paths.clone()).collect();

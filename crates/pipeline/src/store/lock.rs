@@ -118,7 +118,9 @@ impl FolderLock {
                     return Err(PipelineError::InUse { folder: dir.to_owned(), owner: owned.other() });
                 }
                 Err(TryLockError::Error(error)) => {
-                    let text = format!("this file system has no locks ({error}); run only one process in this folder");
+                    let text = format!(
+                        "the file system of this folder has no locks ({error}); run only one process in this folder"
+                    );
                     task.warn(dir.display().to_string(), text);
                 }
             }
@@ -136,7 +138,7 @@ impl FolderLock {
     /// Describes the owner of the lock, for messages.
     fn other(&self) -> String {
         if self.file != LOCK {
-            return "another preview".into();
+            return "another `lumistack preview`".into();
         }
         let read = || -> Option<Owner> { serde_json::from_slice(&std::fs::read(self.cache.join(OWNER)).ok()?).ok() };
         let owner = (0..OWNER_ATTEMPTS).find_map(|attempt| {

@@ -55,7 +55,7 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
             let path = folder.join(&given);
             if let Err(error) = lumistack_files::open(&path) {
                 let (key, found) = (format!("{place}.params.{name}"), format!("{}: {error}", path.display()));
-                let expected = "a readable file, or its text, which begins with {";
+                let expected = "a readable file, or the text of a file, which begins with {";
                 return Err(PipelineError::job(key, expected, found));
             }
             let absolute = std::path::absolute(&path).unwrap_or(path);

@@ -84,7 +84,7 @@ fn units_of_a_still_give_the_bytes_of_a_run() {
     with_task(|task| run(&job, &many, &registry, None, task)).unwrap();
     assert!(plan.done(&many, "expose").is_none());
     let error = unit(&many, "factorize", &registry).unwrap_err();
-    assert!(error.contains("unit `factorize`") && error.contains("`expose`, which is not done"), "{error}");
+    assert!(error.contains("unit `factorize`") && error.contains("`expose`, which is not finished"), "{error}");
 }
 
 #[test]

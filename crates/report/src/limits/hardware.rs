@@ -47,9 +47,9 @@ fn listed(shares: &[f64], layers: usize) -> String {
     };
     match (layers, shares.len() > layers) {
         (1, false) => format!("{text} of the layer's values"),
-        (1, true) => format!("{text} of the values of the layer and of the backlight"),
-        (n, false) => format!("{text} of the values of layers 0 to {}", n - 1),
-        (n, true) => format!("{text} of the values of layers 0 to {} and of the backlight", n - 1),
+        (1, true) => format!("{text} of the values of the layer and of the backlight (in this order)"),
+        (n, false) => format!("{text} of the values of layers 0 to {} (in this order)", n - 1),
+        (n, true) => format!("{text} of the values of layers 0 to {} and of the backlight (in this order)", n - 1),
     }
 }
 
@@ -66,8 +66,8 @@ pub(super) fn brightness(
     let mut text = format!("{} are at their brightest. ", listed(&ends.brightest, input.display.layers.len()));
     text += &if relative > 0.0 {
         format!(
-            "If the brightest state transmitted 1 % more, these patterns would have {} less squared error. Extrapolated, 10 % more light (or a β that is 10 % lower) would bring \
-             up to {} dB.",
+            "If the brightest state transmitted 1 % more, these patterns would have {} less squared error. Extrapolated to 10 % more light, or to a β that is 10 % lower, the PSNR \
+             would rise by up to {} dB.",
             format::percent(relative),
             format::decibels_fine(extrapolated)
         )
@@ -90,7 +90,7 @@ pub(super) fn contrast(ends: &Ends, tone: Tone, black: Option<f64>) -> Option<Li
     let darkest = ends.darkest.iter().sum::<f64>() / layers as f64;
     text += &match black {
         Some(gain) => format!(
-            "{} of all values are at their darkest, which is not black. With a perfect black, this layer stack would be {} dB better.",
+            "{} of all values are at their darkest, which is not black. With a perfect black, the PSNR of this layer stack would be {} dB higher.",
             format::percent(darkest),
             format::decibels_fine(gain)
         ),
@@ -114,7 +114,7 @@ pub(super) fn bits(input: &ReportInput, gain: Option<f64>) -> Limit {
         format!("The masks already contain only the values of {which}; the scores include the loss by rounding.")
     } else {
         format!(
-            "Rounded to {which} per channel, this layer stack would be {} dB worse.",
+            "With values that are rounded to {which} per channel, the PSNR of this layer stack would be {} dB lower.",
             format::decibels_fine(loss.max(0.0))
         )
     };
@@ -125,12 +125,12 @@ pub(super) fn bits(input: &ReportInput, gain: Option<f64>) -> Limit {
 pub(super) fn blur_and_crosstalk(gain: f64) -> Limit {
     let text = if gain >= 0.0 {
         format!(
-            "On layers without blur and crosstalk this layer stack would be {} dB better.",
+            "On layers without blur and crosstalk the PSNR of this layer stack would be {} dB higher.",
             format::decibels_fine(gain)
         )
     } else {
         format!(
-            "On layers without blur and crosstalk this layer stack would be {} dB worse, since it compensates for the blur and crosstalk of this display.",
+            "On layers without blur and crosstalk the PSNR of this layer stack would be {} dB lower, since the patterns compensate for the blur and crosstalk of this display.",
             format::decibels_fine(-gain)
         )
     };

@@ -18,13 +18,13 @@ pub(super) fn iterations(history: &[Iteration]) -> Option<Limit> {
     }
     let text = if gain < NEGLIGIBLE_DB {
         format!(
-            "The second half of the {} iterations brought {} dB. More iterations would make no visible difference.",
+            "The second half of the {} iterations raised the PSNR by {} dB. More iterations would make no visible difference.",
             last.iteration,
             format::decibels_fine(gain)
         )
     } else {
         format!(
-            "The second half of the {0} iterations brought {1} dB. Another {0} iterations would bring at most about {1} dB.",
+            "The second half of the {0} iterations raised the PSNR by {1} dB. Another {0} iterations would raise the PSNR by at most about {1} dB.",
             last.iteration,
             format::decibels_fine(gain)
         )
@@ -56,7 +56,7 @@ pub(super) fn frames(input: &ReportInput, target: &FieldScore, still: Option<f64
     };
     if let Some(still) = still.filter(|still| still.is_finite()) {
         text += &format!(
-            " If every frame were the mean of all frames, the display would be {} dB worse.",
+            " If every frame were the mean of all frames, the PSNR would be {} dB lower.",
             format::decibels_fine((-still).max(0.0))
         );
     }

@@ -100,7 +100,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         };
         let (all, centre, outer) = (sum(None), sum(Some(false)), sum(Some(true)));
         let mut text = format!(
-            "{what} are {} of the central view's rays, and have {} of its squared error. In the leftmost and rightmost views, such rays are {} of all rays, and have {} of the squared error. ",
+            "{what} are {} of the central view's rays, and have {} of its squared error. In the leftmost and rightmost views, rays of this kind are {} of all rays, and have {} of the squared error. ",
             format::percent(centre.share_of_rays()),
             format::percent(centre.share_of_error()),
             format::percent(outer.share_of_rays()),
@@ -108,9 +108,11 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         );
         text += &if all.gain() > 0.0 {
             let gain = format::decibels_fine(all.gain());
-            format!("If such rays were as good as all other rays, these views would be {gain} dB better.")
+            format!(
+                "If rays of this kind were as good as all other rays, the PSNR of these views would be {gain} dB higher."
+            )
         } else {
-            "Such rays are no worse than other rays.".into()
+            "Rays of this kind are no worse than other rays.".into()
         };
         let figures = json!({
             "share_of_rays_middle": centre.share_of_rays(),
@@ -159,10 +161,13 @@ pub(super) fn outer_views(target: &FieldScore) -> Option<Limit> {
     }
     let gain = (centre.psnr() - target.psnr_view()).max(0.0);
     let (middle, rim_text) = (format::decibels(centre.psnr()), format::decibels(rim.psnr()));
-    let mut text = format!("The central view has {middle} dB, the outermost views together {rim_text} dB.");
+    let mut text =
+        format!("The PSNR of the central view is {middle} dB, that of the outermost views together {rim_text} dB.");
     if gain > 0.0 {
         let gain = format::decibels_fine(gain);
-        text += &format!(" If all views were as good as the central one, the result would be {gain} dB better.");
+        text += &format!(
+            " If all views were as good as the central view, the PSNR of the result would be {gain} dB higher."
+        );
     }
     let figures = json!({ "psnr_centre": centre.psnr(), "psnr_outermost": rim.psnr() });
     Some(Limit { name: "Outer views", decibels: Some(gain), text, figures })

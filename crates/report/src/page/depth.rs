@@ -30,7 +30,7 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                     "Half of the hits lie between " (p25) " and " (p75) " mm, 96 % between " (p2) " and " (p98) " mm."
                 }
                 p {
-                    "Between neighbouring views the content moves by " (median) " pixels (median), " (most) " (98 %), at most " (largest) ". "
+                    "Between neighbouring views the content moves by " (median) " pixels (median), by at most " (most) " pixels for 98 % of the content, and by at most " (largest) " pixels for all content. "
                     (format::percent(budget.beyond_a_pixel)) " of the content moves by more than a pixel. There a moving eye sees steps, and in-between views show double contours."
                 }
                 @if budget.moved_back_mm != 0.0 || budget.depth_scale != 1.0 {

@@ -40,10 +40,11 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
         None => (mean(|view| view.ssim), mean(|view| view.flip)),
     };
     figures.extend([
-        ("SSIM", ssim, "structure that is kept; 1 means all of it"),
-        ("FLIP", flip, "difference that an eye sees; 0 means none"),
+        ("SSIM", ssim, "fraction of the structure that is kept; 1 means all structure"),
+        ("FLIP", flip, "difference that an eye sees; 0 means no difference"),
     ]);
-    let backlight = if input.stack.emission.is_some() { "and a directional backlight" } else { "uniform backlight" };
+    let backlight =
+        if input.stack.emission.is_some() { "with a directional backlight" } else { "with a uniform backlight" };
     figures.extend([
         ("Brightness β", format::number(input.stack.brightness), "emitted light as a fraction of the target's"),
         ("Layers × frames", format!("{} × {}", input.stack.layers.len(), input.stack.frames()), backlight),
@@ -54,7 +55,7 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
         figures.push((
             "Time of this run",
             format::duration(total),
-            "all stages, without the checks before them and without this report",
+            "all stages, without the checks before the first stage and without this report",
         ));
     }
     html! {
@@ -186,7 +187,7 @@ pub(super) fn quality(input: &ReportInput, measured: &Measured) -> Markup {
             @for heat in &HEATS { (heat.tables(measured)) }
             p class="quiet" {
                 "FLIP assumes " (format::number_short(input.pixels_per_degree)) " pixels of a view per degree of visual angle. SSIM and FLIP compare L̃/β with the target, clamped to 0..1. For rays that are "
-                "excluded, both have the value of the target."
+                "excluded, the target replaces L̃/β."
                 @if measured.held_out.is_none() || measured.outside.is_none() {
                     " Views that were not rendered ("
                     @if measured.held_out.is_none() { "in-between" }
@@ -262,7 +263,7 @@ pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
         section id="limits" {
             h2 { "Limits of the result" }
             p {
-                "Measured on this layer stack, without solving again. A number in dB is the gain of the PSNR if one effect were absent and all else unchanged; the largest gain is first. For brightness and iterations it is extrapolated, as the text states. Effects overlap, so the "
+                "Measured on this layer stack, without solving again. A number in dB is the gain of the PSNR if one effect were absent and all else unchanged; the largest gain is first. For brightness and iterations the gain is extrapolated, as the text states. Effects overlap, so the "
                 "gains do not add up. Effects that need another simulation are measured only at the central view and the corners."
             }
             ol class="limits" {
@@ -308,8 +309,8 @@ pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
 fn solved_by(solution: &Solution) -> String {
     let begun = match solution.coarse_levels {
         0 => String::new(),
-        1 => ", at half the resolution first".into(),
-        levels => format!(", at {levels} coarser levels first"),
+        1 => ", first at half the resolution".into(),
+        levels => format!(", first at {levels} coarser resolutions"),
     };
     let mut text = format!(
         "Solver {}, start {}{begun}. One more exact step of each value would change the emission by {:.1e} (root mean square). This change is 0 if the \
@@ -319,7 +320,7 @@ fn solved_by(solution: &Solution) -> String {
     if let Some([continuous, rounded, reoptimized]) = solution.levels {
         let [continuous, rounded, reoptimized] = [continuous, rounded, reoptimized].map(format::decibels);
         text += &format!(
-            " The panels have few levels: {continuous} dB with continuous values, {rounded} dB rounded to the levels, {reoptimized} dB optimized again on the levels."
+            " The panels have few levels. The PSNR is {continuous} dB with continuous values, {rounded} dB with values that are rounded to the levels, and {reoptimized} dB after another optimization on the levels."
         );
     }
     text

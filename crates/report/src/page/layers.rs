@@ -87,7 +87,7 @@ fn expectation(display: &Display, frames: usize) -> &'static str {
             "Objects near a layer should appear mostly on this layer. With one frame a single set of masks serves all views, so objects far from the display appear as blurred copies."
         }
         (Backlight::Uniform, _, _) => {
-            "Objects near a layer should appear mostly on this layer, under fine patterns that change from frame to frame and act as content-adaptive barriers. The mean over frames shows the content of a layer; single frames show how it directs light."
+            "Objects near a layer should appear mostly on this layer, under fine patterns that change from frame to frame and act as content-adaptive barriers. The mean over frames shows the content of a layer; single frames show how the layer directs light."
         }
     }
 }

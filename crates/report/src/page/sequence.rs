@@ -44,7 +44,7 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
     let db = |value: Option<f64>| value.map_or("–".into(), |value| format!("{} dB", format::decibels(value)));
     let seconds: f64 = input.times.iter().map(|time| time.seconds).filter(|seconds| seconds.is_finite()).sum();
     let iterations: u32 = input.times.iter().map(|time| time.iterations).sum();
-    let iterations = format!("{iterations} iterations");
+    let iterations = format::counted(iterations as usize, "iteration");
     let figures = [
         (
             "Time steps",

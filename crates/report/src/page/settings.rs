@@ -131,7 +131,7 @@ fn display_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
             "rays that leave a layer",
             match display.missing {
                 Missing::Drop => "are excluded (drop)",
-                Missing::Clear => "are not attenuated by it (clear)",
+                Missing::Clear => "are not attenuated by this layer (clear)",
             }
             .into(),
         ),
@@ -144,11 +144,11 @@ fn frames(display: &Display) -> String {
         ColourSequence::Field => ", each in 3 colours in turn,",
     };
     format!(
-        "{}{colours} at {} Hz: {} periods a second{}",
+        "{}{colours} at {} Hz: all frames are shown {} times per second{}",
         display.frames,
         format::number(display.refresh_hz),
         format::number(display.period_hz()),
-        if display.flicker_warning().is_some() { ", which flickers" } else { "" }
+        if display.flicker_warning().is_some() { ", so the display flickers" } else { "" }
     )
 }
 

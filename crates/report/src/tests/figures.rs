@@ -127,7 +127,7 @@ fn a_white_that_cannot_be_reached_is_said() {
     target.radiance_mut().data_mut().fill(1.0);
     let report = built(&plain(&display, &LayerStack::filled(&display, 0.5), &target)).unwrap().json;
     let text = report["light"]["text"].as_str().unwrap();
-    assert!(text.contains("out of reach: the brightest that this display can show is 25.0 %"), "{text}");
+    assert!(text.contains("cannot be shown: the brightest white of this display has 25.0 %"), "{text}");
 }
 
 #[test]

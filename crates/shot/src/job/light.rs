@@ -101,7 +101,11 @@ impl LightJob {
             return fail("light.environment_rotation_deg", "-360 to 360", found);
         }
         if self.from_splats && self.environment.is_some() {
-            return fail("light.from_splats", "false, or no `light.environment`", "both".into());
+            return fail(
+                "light.from_splats",
+                "false, or no `light.environment`",
+                "true with `light.environment`".into(),
+            );
         }
         Ok(())
     }

@@ -362,9 +362,8 @@ impl RenderJob {
             return fail("render.lens_deg", "either a lens or `angular_filter`", "both".into());
         }
         if self.engine == Engine::Blender && !self.is_plain() {
-            let expected =
-                "`blender` without `angular_filter`, `lens_deg`, `denoise` and `clamp` (the .blend file has its own)";
-            return fail("render.engine", expected, "`blender` with one of these keys".into());
+            let expected = "`blender` without the keys `angular_filter`, `lens_deg`, `denoise` and `clamp`, since Blender uses the settings of the .blend file";
+            return fail("render.engine", expected, "`blender` with at least one of the four keys".into());
         }
         if let Some(limit) = self.clamp.filter(|limit| !(*limit > 0.0 && limit.is_finite())) {
             return fail("render.clamp", "a finite number above 0", limit.to_string());

@@ -115,7 +115,13 @@ fn unlimited_window<S: Subject>(
         (_, None) => scene.cameras.first(),
     };
     if job.from == WindowFrom::Camera && camera.is_none() {
-        return Err(ShotError::value(&scene.name, "window.from", "a camera in the scene", "none").into());
+        return Err(ShotError::value(
+            &scene.name,
+            "window.from",
+            "a scene with a camera for `from` = \"camera\"",
+            "a scene without cameras",
+        )
+        .into());
     }
     // Frame the scene from the job's direction, or else from the best side. Then shrink the frame
     // to the visible scene.
@@ -214,7 +220,7 @@ fn focus<S: Subject>(
         task.warn(
             format!("camera {}", camera.name),
             format!(
-                "it has no focus distance, so the window is {} scene units in front of it, near the nearest surfaces. {:.0} % of the surfaces in its picture are more than {FAR} \
+                "the camera has no focus distance, so the window is {} scene units in front of the camera, near the nearest surfaces. {:.0} % of the surfaces in the camera's picture are more than {FAR} \
                  times as far away, up to {} scene units, and become blurred. If the subject is elsewhere, set the camera's focus distance (in Blender: \
                  Depth of Field, Focus on Object), or the job's `focus_distance`",
                 rounded(seen.focus),
@@ -311,7 +317,10 @@ pub fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, Sho
     let by_number = || wanted.parse::<usize>().ok().and_then(|number| scene.cameras.get(number));
     by_name.or_else(by_number).ok_or_else(|| {
         let names: Vec<&str> = scene.cameras.iter().map(|camera| camera.name.as_str()).collect();
-        let expected = format!("one of the scene's cameras (number: {}; names: {})", names.len(), names.join(", "));
+        let expected = match names.len() {
+            0 => "no camera, since the scene has no cameras".into(),
+            count => format!("a camera's name ({}), or a camera's number from 0 to {}", names.join(", "), count - 1),
+        };
         ShotError::value(&scene.name, "window.camera", expected, wanted)
     })
 }

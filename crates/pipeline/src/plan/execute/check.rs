@@ -43,7 +43,7 @@ impl Context<'_> {
                 self.open_outputs(
                     job,
                     &display,
-                    &display.geometry().map_err(|source| display_error(source, "field"))?,
+                    &display.geometry().map_err(|source| display_error(source, "display"))?,
                 )?;
             }
         }

@@ -42,7 +42,7 @@ impl Context<'_> {
         let job = self.job(part);
         let ingested = self.ingested(part)?;
         let display = job.resolve_display()?;
-        let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+        let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
         let cache = self.cache(part);
         let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
         let samples = match self.plan.time(part) {
@@ -155,7 +155,7 @@ impl Context<'_> {
         let (job, ingested) = (self.job(part), self.ingested(part)?);
         let placement = self.of(part, "a window", |state| state.placement)?;
         let display = job.resolve_display()?;
-        let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+        let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
         let samples = self.states[part].samples;
         Ok(OwnedShot { job, ingested, placement, display, geometry, samples })
     }

@@ -84,7 +84,7 @@ impl Context<'_> {
     ) -> Result<(), PipelineError> {
         let (job, stamps, of_field) = (self.job(part), self.stamps(part), self.plan.field_part(part));
         let shared = self.job(of_field).resolve_display()?;
-        let geometry = shared.geometry().map_err(|source| display_error(source, "field"))?;
+        let geometry = shared.geometry().map_err(|source| display_error(source, "display"))?;
         let display = self.display(part, &shared, &geometry, task)?;
         let weights = field::weights(&job.factorize, &geometry)?;
         // An earlier unit wrote the light field; read only the region that the tile needs.

@@ -23,7 +23,11 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
         sweep.displays.iter().map(|text| base(job, text)).collect()
     };
     if !sweep.fov_deg.is_empty() && job.scene.is_none() {
-        return Err(PipelineError::job("sweep.fov_deg", "a scene, which can be rendered with other angles", "none"));
+        return Err(PipelineError::job(
+            "sweep.fov_deg",
+            "a job with a scene, which can be rendered with other angles",
+            "a job without a scene",
+        ));
     }
     // Keep only the first of equal displays. Displays are equal if their combinations differ only
     // in values without effect, for example in the lenslets of a uniform backlight.

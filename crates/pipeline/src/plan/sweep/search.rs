@@ -40,7 +40,7 @@ pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<
     };
     let least = |value: fn(&Design) -> f64| candidates.iter().map(|c| value(&c.design)).fold(f64::INFINITY, f64::min);
     let found = format!(
-        "designs whose smallest thickness is {} mm, smallest refresh rate {} Hz, smallest number of panels {}, and largest β {}",
+        "designs with a thickness of at least {} mm, a refresh rate of at least {} Hz, a number of panels of at least {}, and a β of at most {}",
         least(|d| d.thickness_mm),
         least(|d| d.refresh_hz),
         least(|d| d.panels as f64),
@@ -173,7 +173,7 @@ mod tests {
         let error = left(&SearchJob { max_panels: Some(0), ..SearchJob::default() }).unwrap_err().to_string();
         assert!(
             error.contains(
-                "thickness is 0 mm, smallest refresh rate 0 Hz, smallest number of panels 1, and largest β 1"
+                "thickness of at least 0 mm, a refresh rate of at least 0 Hz, a number of panels of at least 1, and a β of at most 1"
             ),
             "{error}"
         );

@@ -43,7 +43,7 @@ impl Oidn {
         };
         Self::try_program(Path::new("oidnDenoise")).or_else(in_package).ok_or_else(|| {
             let expected = "Open Image Denoise's program `oidnDenoise` on PATH, in LUMISTACK_OIDN or in the Python package pyoidn";
-            let found = "`oidn` without this program; `pip install pyoidn` installs it, and the denoiser `guided` needs no other program";
+            let found = "none of them; run `pip install pyoidn` to install the program, or use the filter `guided`, which needs no other program";
             PipelineError::job("render.denoise", expected, found)
         })
     }
@@ -90,7 +90,9 @@ impl Oidn {
             return Err(failed(format!("{}: {said}", output.status)));
         }
         let filtered = parse_pfm(&read(&path("filtered"))?).filter(|(size, _)| *size == [rows, cols]);
-        filtered.map(|(_, values)| values).ok_or_else(|| failed("a file that is not a PFM picture of this size".into()))
+        filtered
+            .map(|(_, values)| values)
+            .ok_or_else(|| failed("a file that is not a PFM picture of the view's size".into()))
     }
 }
 

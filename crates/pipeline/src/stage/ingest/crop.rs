@@ -27,7 +27,11 @@ pub(crate) fn cropped(scene: Scene, pose: &PoseJob, task: Task<'_>) -> Result<Sc
         crop(parts, inside);
         if parts.placed_clouds.is_empty() {
             let key = if corners.is_some() { "pose.crop_box" } else { "pose.crop_sphere" };
-            let found = if count == 0 { "a scene without splats".into() } else { format!("none of {count} splats") };
+            let found = if count == 0 {
+                "a scene without splats".into()
+            } else {
+                format!("a crop without splats (number of splats in the scene: {count})")
+            };
             return Err(PipelineError::job(key, "a crop that contains splats of the scene", found));
         }
         Ok(())
@@ -105,7 +109,7 @@ mod tests {
     fn a_crop_without_splats_is_an_error() {
         let crop_sphere = Some([0.0, 5.0, 0.0, 1.0]);
         let error = left(&PoseJob { crop_sphere, ..PoseJob::default() }).unwrap_err();
-        let expected = "pose.crop_sphere: expected a crop that contains splats of the scene, found none of 8 splats";
+        let expected = "pose.crop_sphere: expected a crop that contains splats of the scene, found a crop without splats (number of splats in the scene: 8)";
         assert!(error.contains(expected), "{error}");
     }
 }

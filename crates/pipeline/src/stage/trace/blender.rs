@@ -54,7 +54,7 @@ fn chosen(
         Engine::Blender => return Engine::Blender,
         Engine::Lumistack => Some("`render.engine = \"lumistack\"` requests our path tracer".to_owned()),
         Engine::Auto if !plain => Some(
-            "the job uses one of `angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` and variance, which require our path tracer"
+            "our path tracer renders the views, since the job uses `angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` or variance"
                 .to_owned(),
         ),
         Engine::Auto if !is_file => {
@@ -72,7 +72,7 @@ fn chosen(
         let lost = contents.lost.join("; ");
         task.warn(
             name,
-            format!("the file's own engine, {engine}, renders the views, since the scene has {lost}. `render.engine = \"lumistack\"` selects our path tracer, which leaves this content out"),
+            format!("the file's own engine, {engine}, renders the views, since the scene has {lost}. `render.engine = \"lumistack\"` selects our path tracer, which omits or simplifies that content"),
         );
         return Engine::Blender;
     };
@@ -141,7 +141,7 @@ fn keep(picture: &Path, geometry: &FieldGeometry, path: &Path) -> Result<(), Pip
         let [cols, rows] = size;
         let [found_cols, found_rows] = read.size();
         let expected = format!("{cols} × {rows} pixels from Blender");
-        return Err(PipelineError::value(path, "view", expected, format!("{found_cols} × {found_rows}")));
+        return Err(PipelineError::value(path, "view", expected, format!("{found_cols} × {found_rows} pixels")));
     }
     write_picture(path, size, &read.into_linear())
 }
