@@ -33,7 +33,7 @@ fn a_missing_device_is_one_error() {
     // set the variable XDG_RUNTIME_DIR, since without it Mesa's drivers print an error
     let text = fail(solve(folder.path(), "run", "gpu:no such adapter").env("XDG_RUNTIME_DIR", folder.path()));
     if cfg!(feature = "gpu") {
-        assert!(text.contains("expected an adapter named like `no such adapter`, found "), "{text}");
+        assert!(text.contains("expected a graphics processor whose name contains `no such adapter`, found "), "{text}");
     } else {
         assert!(text.contains("factorize.device") && text.contains("without the feature `gpu`"), "{text}");
     }

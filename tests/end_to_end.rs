@@ -462,7 +462,7 @@ fn libraries_that_are_no_plugins_are_listed_with_the_reason() {
     std::fs::write(folder.path().join(&name), "not a library").unwrap();
     let text = succeed(lumistack().arg("plugins").arg("--plugin-path").arg(folder.path()));
     assert!(text.contains("images 0.1.0 (output, compiled in)"), "{text}");
-    assert!(text.contains(&format!("{name}: expected a shared library, found a file that is not a library")), "{text}");
+    assert!(text.contains(&format!("{name}: expected a shared library, found a file of another kind")), "{text}");
     let json = succeed(lumistack().args(["--json", "plugins"]).env("LUMISTACK_PLUGIN_PATH", folder.path()));
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["failed"].as_array().unwrap().len(), 1, "{json}");

@@ -48,12 +48,12 @@ fn a_plugin_that_crashes_costs_its_own_output_alone() {
     hostile(folder.path(), "hostile", "");
     let outputs = folder.path().join("run/outputs/tensor-display");
     for (fault, cause) in [
-        ("submit:segfault", "ended by signal 11 (segmentation fault) while it wrote `a.txt`"),
-        ("submit:abort", "ended by signal 6 (abort) while it wrote `a.txt`"),
-        ("submit:exit", "ended itself with exit code 0 while it wrote `a.txt`"),
+        ("submit:segfault", "ended by signal 11 (segmentation fault) while the plugin wrote `a.txt`"),
+        ("submit:abort", "ended by signal 6 (abort) while the plugin wrote `a.txt`"),
+        ("submit:exit", "ended itself with exit code 0 while the plugin wrote `a.txt`"),
     ] {
         let text = fail(&mut run(folder.path(), fault));
-        let expected = format!("output `hostile` failed: its process ({}) {cause}", file_name("hostile"));
+        let expected = format!("output `hostile` failed: the plugin's process ({}) {cause}", file_name("hostile"));
         assert!(text.contains(&expected), "{text}");
         assert!(outputs.join("images").is_dir() && !outputs.join("hostile").exists(), "{fault}");
     }
@@ -68,7 +68,7 @@ fn silence_has_a_limit_that_can_be_set() {
     let folder = tempfile::tempdir().unwrap();
     hostile(folder.path(), "hostile", "");
     let text = fail(run(folder.path(), "submit:hang").env("LUMISTACK_PLUGIN_SILENCE_S", "1"));
-    assert!(text.contains("gave no sign of life for 1 s while it wrote `a.txt`, and was ended"), "{text}");
+    assert!(text.contains("gave no sign of life for 1 s while the plugin wrote `a.txt`, and was ended"), "{text}");
     let output = run(folder.path(), "").env("LUMISTACK_PLUGIN_SILENCE_S", "long").output().unwrap();
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     let expected = "LUMISTACK_PLUGIN_SILENCE_S: expected a number of seconds, 0 for no limit, found `long`";
@@ -82,7 +82,10 @@ fn libraries_that_end_their_process_are_listed_with_the_cause() {
     hostile(folder.path(), "sound", "print");
     let text = succeed(lumistack().arg("plugins").arg("--plugin-path").arg(folder.path()));
     assert!(text.contains("sound 1.0.0 (output, "), "{text}");
-    let cause = format!("its process ({}) ended itself with exit code 0 while it was loaded", file_name("exits"));
+    let cause = format!(
+        "the plugin's process ({}) ended itself with exit code 0 while the library was loaded",
+        file_name("exits")
+    );
     assert!(text.contains(&cause) && text.contains("images "), "{text}");
     // only `lumistack plugins` loads all libraries; other commands load only plugins that they need
     let marks = folder.path().join("marks");

@@ -85,9 +85,9 @@ fn the_commands_of_the_readme_work_and_report_replaced_files() {
     let flags = ["--pitch-mm", "3", "--fov", "30x30", "--grid", "perspective", "--distance-mm", "900"];
     let text = said(lumistack().current_dir(&folder).args(&factorize).args(&SMALL[6..]).args(flags));
     for expected in [
-        "its own pixel pitch of 19.7925 mm is replaced by 3 mm (--pitch-mm)",
-        "its own angles of 20.0° × 20.0° are replaced by 30° × 30° (--fov)",
-        "its own oblique views are taken as perspective (--grid)",
+        "the light field's own pixel pitch, 19.7925 mm, is replaced by 3 mm (--pitch-mm)",
+        "the full angles of the light field's views, 20.0° × 20.0°, are replaced by 30° × 30° (--fov)",
+        "the light field states oblique views, but they are taken as perspective views (--grid)",
     ] {
         assert!(text.contains(expected), "{expected}: {text}");
     }

@@ -48,14 +48,14 @@ def main(words: list[str]) -> int:
             said = command_line.ProgressPrinter(sys.stdout)
             jobs.run_now(job, said)
     except KeyboardInterrupt:
-        print("stopped; finished parts are kept", file=sys.stderr)
+        print("stopped; finished views and patterns are kept", file=sys.stderr)
         return 130
     except (jobs.JobError, lumistack.Error, RuntimeError, TypeError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     for warning in job.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    for line in [f"{job.rendered} views rendered, {job.kept} kept", *job.said]:
+    for line in [f"views rendered: {job.rendered}, views kept from earlier runs: {job.kept}", *job.said]:
         print(line)
     return 0
 

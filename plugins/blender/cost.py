@@ -117,16 +117,16 @@ def lines(scene, display: lumistack.Display) -> list[str]:
     else:
         engine = ENGINES.get(scene.render.engine, scene.render.engine.replace("_", " ").capitalize())
         samples = samples_of(scene)
-        each = f"{engine}, {samples} samples each" if samples else engine
+        each = f"{engine}, {samples} sample{'s' if samples != 1 else ''} per pixel" if samples else engine
         score = f" and {more} for the score" if more else ""
-        found = [size, f"{views}{score} = {views + more} renders by {each}" if more else f"{views} renders by {each}"]
+        found = [size, f"{views}{score} = {views + more} renders by {each}" if more else f"{views} render{'s' if views != 1 else ''} by {each}"]
     if frames(scene) > 1:
         found.append(f"for each of {frames(scene)} frames")
     mib = math.prod(display.light_field_shape) * 4 / 2**20
     if mib > LARGE_MIB:
         found.append(f"{mib / 1024:.1f} GB of views in memory")
     time_s = seconds(scene, display)
-    found.append("Time: not known yet" if time_s is None else f"Time: about {duration(time_s)}")
+    found.append("Time: unknown until Estimate Time or a first run has measured it" if time_s is None else f"Time: about {duration(time_s)}")
     return found
 
 

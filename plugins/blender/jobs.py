@@ -130,7 +130,7 @@ class Job:
         if is_temporary(scene):
             self.warn(
                 "folder",
-                f"this file is not saved, so the results are in {folder}, which Blender deletes when it ends. To keep the results, save the file or set Folder, and make the display again",
+                f"the .blend file is not saved, so the results are in {folder}, which Blender deletes when it ends. To keep the results, save the file or set Folder, and make the display again",
             )
         if settings.times == "CURRENT":
             yield from self._time(folder, None, 0.0, 1.0)
@@ -221,12 +221,12 @@ class Job:
     def _check_depth(self, display: lumistack.Display, window: cameras.Window) -> None:
         sentence = depth_sentence(self.scene, display, window)
         if sentence:
-            self.warn("depth", f"{sentence}. Fit Depth brings more of the scene into the sharp depths, if possible")
+            self.warn("depth", f"{sentence}. The button Fit Depth brings more of the scene into the depths that the display shows sharply, if possible")
 
     def _views(self, _renderer, display, window, folder: Path, start: float, part: float, is_scored: bool):
         """Renders views by Blender's engine. Returns their light field, and with `is_scored` a list of
         one light field with further directions, which lie between the views."""
-        yield Tick("Looking at the scene", start)
+        yield Tick("Reading the scene", start)
         scene_digest = digest.digest(self.scene)
         slopes = display.slopes
         more = between_of(display, cost.SCORED[0]) if is_scored else ([], [])
@@ -307,7 +307,7 @@ class Job:
             return pictures.as_shown(path, self.scene)
         picture = pictures.load(path) * 2.0**settings.exposure_ev
         if (picture > 1.0).mean() > CLIPPED:
-            self.warn("look", "more than 1 % of the values are brighter than white and are clipped: lower the exposure, or set Look to As in Blender")
+            self.warn("look", "more than 1 % of the pixels' values are brighter than white and are clipped: lower the exposure, or set Look to As in Blender")
         return numpy.clip(picture, 0.0, 1.0)
 
     def _trace(self, renderer: str, display, window, folder: Path, start: float, part: float, is_scored: bool):
@@ -386,7 +386,7 @@ class Job:
             for number, linear in enumerate(found):
                 seen = numpy.empty_like(linear)
                 for view in numpy.ndindex(linear.shape[:2]):
-                    yield Tick("Applying the look", start + part * (0.8 + 0.2 * done / total))
+                    yield Tick("Applying exposure and tone curve", start + part * (0.8 + 0.2 * done / total))
                     seen[view] = pictures.as_shown(linear[view] * brightest, scene)
                     done += 1
                 found[number] = seen
@@ -503,12 +503,12 @@ def fit_depth(scene, compress: bool) -> str:
         found = fit or now
         settings.moved_back_mm, settings.depth_scale = found.moved_back_mm, found.depth_scale
     if not depths:
-        nothing = "nothing is seen through the window: aim the camera, or move the window"
-        raise JobError(nothing if rig.has_content(bpy) else "the scene has no visible objects")
+        nothing = "no object is visible through the window: aim the camera at an object, or move the window"
+        raise JobError(nothing if rig.has_content(bpy) else "the scene has no visible objects: add an object, or switch one on for renders")
     share = depth.outside([depth.shown_at(z, found, display.distance_mm) for z in depths], range_mm)
-    rest = "all that is seen is sharp" if share == 0.0 else f"{max(100 * share, 1):.0f} % of what is seen stays blurred"
+    rest = "all visible surfaces are sharp" if share == 0.0 else f"{max(100 * share, 1):.0f} % of the visible surfaces stay blurred"
     if fit is None:
-        why = "" if share == 0.0 else ", and no other position or scale makes more of it sharp"
+        why = "" if share == 0.0 else ", and no other position of the window or scale of depth makes more of them sharp"
         return f"Nothing changed: {rest}{why}"
     return f"{depth.moved(found)}; {rest}"
 
@@ -561,7 +561,7 @@ def compared(our_name: str, ours, their_name: str, theirs) -> str:
     error = float(numpy.mean((ours.radiance.astype(numpy.float64) - theirs.radiance) ** 2))
     means = [float(each.radiance.mean()) for each in (ours, theirs)]
     psnr = float("inf") if error == 0.0 else -10.0 * numpy.log10(error)
-    return f"{our_name} against {their_name}: {psnr:.1f} dB, mean {means[0]:.4f} against {means[1]:.4f}"
+    return f"{our_name} against {their_name}: PSNR {psnr:.1f} dB, mean value {means[0]:.4f} against {means[1]:.4f}"
 
 
 def track(work: Work) -> None:

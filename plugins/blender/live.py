@@ -268,15 +268,15 @@ def step() -> bool:
     # A program to which the session was attached may name its report relative to another folder.
     place = f"The last state is in {session.run or Path(state.report).parent}"
     if session.is_stopping and session.run is not None:
-        ended = f"Detached{reason}: {session.run} keeps its last state"
+        ended = f"Detached{reason}: the display in {session.run} keeps its last state"
     elif session.is_stopping:
         ended = f"Live has ended{reason}. {place}" if state.report else f"Live has ended{reason}"
     elif state.report:
         ended = f"Live was ended outside Blender. {place}"
     elif session.run is not None:
-        ended = f"{session.run}: lumistack live stopped unexpectedly"
+        ended = f"lumistack live in {session.run} stopped unexpectedly"
     else:
-        ended = f"lumistack live stopped unexpectedly (status {state.code}): {state.problem or 'it gave no reason'}"
+        ended = f"lumistack live stopped unexpectedly (status {state.code}): {state.problem or 'the program gave no reason'}"
     session = None
     return False
 
@@ -303,7 +303,7 @@ def status() -> list[tuple[str, str]]:
         return [("ERROR" if "unexpectedly" in ended else "INFO", ended)] if ended else []
     state = session.state
     if session.is_stopping:
-        return [("SORTTIME", "Writes the last state")]
+        return [("SORTTIME", "Writes the display's last state")]
     if not state.states:
         lines = [("SORTTIME", f"{session.title}: waits for the first picture")]
     else:

@@ -60,7 +60,7 @@ class _Steps(bpy.types.Operator):
 
     def modal(self, context, event):
         if event.type == "ESC" and event.value == "PRESS":
-            return self._stop(context, "Stopped; finished parts are kept")
+            return self._stop(context, "Stopped; finished views and patterns are kept")
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         try:
@@ -75,7 +75,7 @@ class _Steps(bpy.types.Operator):
         if self._state == "rendering":
             return {"PASS_THROUGH"}
         if self._state == "cancelled":
-            return self._stop(context, "Stopped; finished parts are kept")
+            return self._stop(context, "Stopped; finished views and patterns are kept")
         if bpy.app.is_job_running("RENDER"):
             # Blender has not yet finished its render job for the previous view.
             return {"PASS_THROUGH"}
@@ -158,7 +158,7 @@ class LUMISTACK_OT_make(_Steps):
         held = jobs.shown[context.scene.name]
         show_view(context.scene, held.beside)
         if any(held.beside):
-            self.report({"INFO"}, f"The picture is seen {direction(held.beside)}, between the views. Look Around shows other directions")
+            self.report({"INFO"}, f"The picture shows the display {direction(held.beside)}, between the views. Look Around shows other directions")
         if not bpy.app.background:
             show_editor(context)
 
@@ -267,7 +267,7 @@ class LUMISTACK_OT_look(bpy.types.Operator):
             show_editor(context)
         context.window_manager.modal_handler_add(self)
         if context.workspace:
-            context.workspace.status_text_set("Lumistack: move the mouse to look around. Esc ends it")
+            context.workspace.status_text_set("Lumistack: move the mouse to look around. Esc ends looking around")
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -292,7 +292,7 @@ class LUMISTACK_OT_fit_depth(bpy.types.Operator):
     bl_label = "Fit Depth"
     bl_options = {"REGISTER", "UNDO"}
 
-    compress: bpy.props.BoolProperty(name="Scale depth", description="Also flatten the scene if moving the window is not enough", default=True)
+    compress: bpy.props.BoolProperty(name="Scale depth", description="Also flatten the scene if the scene does not fit after the window has moved", default=True)
 
     def execute(self, context):
         try:

@@ -79,7 +79,7 @@ class LUMISTACK_PT_main(_Panel, bpy.types.Panel):
         layout.prop(settings, "times")
         layout.prop(settings, "folder")
         if jobs.is_temporary(context.scene):
-            self.lines(context, layout.column(align=True), "The file is not saved. Blender deletes the results when it ends", "ERROR")
+            self.lines(context, layout.column(align=True), "The file is not saved. The results are deleted when Blender ends", "ERROR")
 
     def _cost(self, context, layout):
         """Adds the number of renders and the time, or the reason why nothing can be made."""

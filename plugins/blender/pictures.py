@@ -25,7 +25,7 @@ def load(path: Path, linear: bool = True) -> numpy.ndarray:
             image.colorspace_settings.name = "Non-Color"
         width, height = image.size
         if width * height == 0:
-            raise ValueError(f"{path}: expected a picture, found a damaged file; remove it and render again")
+            raise ValueError(f"{path}: expected a picture, found a damaged file; remove the file and render again")
         values = numpy.empty(width * height * image.channels, dtype=numpy.float32)
         image.pixels.foreach_get(values)
         picture = values.reshape(height, width, image.channels)[::-1, :, :3]

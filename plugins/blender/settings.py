@@ -163,10 +163,10 @@ def _settings_class():
         "distance_mm": FloatProperty(name="Eye Distance (mm)", description="Millimetres from the display to the viewer", default=600.0, min=1.0, max=1e6, **draw),
         "views_from": EnumProperty(
             name="Views",
-            description="Number of views that are rendered, and for which the patterns are made",
+            description="Number of views that are rendered and from which the patterns are computed",
             items=[
                 ("AUTO", "Automatic", "Enough views for a picture that is also correct between the views"),
-                ("HALF", "Every Second", "Every second view of the automatic ones, on each axis: a quarter of the renders, and a blurred picture between the views"),
+                ("HALF", "Every Second", "Half of the automatic number on each axis: a quarter of the renders, and a blurred picture between the views"),
                 ("OWN", "Own Number", "The number below. Between few views the picture is blurred"),
             ],
             **draw,
@@ -174,11 +174,11 @@ def _settings_class():
         "views": IntVectorProperty(name="Number", description="Number of views, horizontal and vertical", size=2, default=(5, 5), min=1, max=64, **draw),
         "use_score": BoolProperty(
             name="Score",
-            description="Render a few further pictures, from between the views, and report how well the display shows them",
+            description="Render a few more pictures from directions between the views, and report how well the display shows these directions",
             default=True,
         ),
         "is_used": BoolProperty(name="Draw in 3D View", description="Draw the display's window, and its handles, in the 3D view", default=False),
-        "use_brightness": BoolProperty(name="Own Brightness", description="Use another brightness scale than the display's own", **draw),
+        "use_brightness": BoolProperty(name="Own Brightness", description="Use the brightness scale below instead of the display's own", **draw),
         "brightness": FloatProperty(name="Brightness", description="Brightness scale: the display emits the target times this factor", default=0.2, min=0.001, max=1.0, **draw),
         "quality": EnumProperty(
             name="Quality",
@@ -197,7 +197,7 @@ def _settings_class():
         "samples": IntProperty(name="Paths", description="Paths per pixel and view of Lumistack's path tracer", default=16, min=1, max=65536),
         "window_from": EnumProperty(
             name="Window",
-            description="Position of the window; the window is as wide as the camera's picture at this position",
+            description="Distance of the window from the camera; at Size 1 the window is as wide as the camera's picture at that distance",
             items=[
                 ("AUTO", "Automatic", "The camera's plane of focus or, if its depth of field is off, a distance that near content determines"),
                 ("DISTANCE", "Distance", "At a distance from the camera"),
@@ -263,7 +263,7 @@ def _settings_class():
         ),
         "folder": StringProperty(name="Folder", description="Folder of views, patterns and outputs; // is the folder of the .blend file", subtype="DIR_PATH", default="//lumistack"),
         "live_run": StringProperty(
-            name="Attach To", description="Run folder of a lumistack live that already runs; this program then follows this scene. Empty: a new program is started", subtype="DIR_PATH"
+            name="Attach To", description="Run folder of a `lumistack live` that already runs; its display then shows this scene. Empty: a new `lumistack live` is started", subtype="DIR_PATH"
         ),
         "live_show": EnumProperty(name="Show", description="Where a new live display appears", items=_SHOWN, default="PAGE"),
         "output": EnumProperty(name="Output", description="Additional output besides the patterns", items=_outputs(), default="NONE"),
@@ -317,7 +317,7 @@ def display_of(settings, is_live: bool = False) -> lumistack.Display:
         path = bpy.path.abspath(settings.file)
         if not os.path.isfile(path):
             found = f"found none at {path}" if path else "found no path"
-            raise ValueError(f"File: expected a display file (.toml), {found}; select one, or set Display to Preset")
+            raise ValueError(f"File: expected a display file (.toml), {found}; select a display file, or set Display to Preset")
         display = lumistack.Display(path)
     else:
         display = lumistack.Display(settings.preset)

@@ -60,20 +60,20 @@ export function recognize(files: ReadonlyMap<string, File>): Dropped {
 }
 
 const WANTED =
-  "Drop a preview folder, a run folder that has one, a quilt whose name ends in _qsCOLUMNSxROWSaASPECT.png, or a folder with the views of a light field as PNG or JPEG.";
+  "Drop a preview folder, a run folder with a preview, a quilt whose name ends in _qsCOLUMNSxROWSaASPECT.png, or a folder with views as PNG or JPEG.";
 
 function refusal(files: ReadonlyMap<string, File>): string {
   const paths = [...files.keys()];
-  if (paths.some((path) => /(^|\/)layers\/stack\.json$/.test(path))) return "This run folder has no preview. “lumistack preview” with this folder writes one.";
+  if (paths.some((path) => /(^|\/)layers\/stack\.json$/.test(path))) return "This run folder has no preview. “lumistack preview” with this folder writes a preview.";
   if (paths.some((path) => /\.exr$/i.test(path))) return "These views are OpenEXR files, which browsers cannot read. The plugin “images” writes views as PNG.";
-  if (paths.length === 1 && PICTURE.test(paths[0]!)) return `${paths[0]} is a single picture, and its name does not give the number of views.`;
+  if (paths.length === 1 && PICTURE.test(paths[0]!)) return `${paths[0]} is a single picture, and the picture's name does not state the number of views.`;
   return `There is no preview.json and no picture among the dropped files (${paths.length}).`;
 }
 
 function quiltOf(file: File): Dropped {
   const found = QUILT.exec(file.name)!;
   const [cols, rows] = [Number(found[1]), Number(found[2])];
-  if (!(cols >= 1 && rows >= 1 && cols * rows >= 2)) throw new Problem(`${file.name} names ${cols} × ${rows} views; expected at least two.`, WANTED, false);
+  if (!(cols >= 1 && rows >= 1 && cols * rows >= 2)) throw new Problem(`${file.name}: the name states ${cols} × ${rows} views; expected at least two views.`, WANTED, false);
   const aspect = Number(found[3]);
   return { kind: "quilt", file, cols, rows, aspect: aspect > 0 ? aspect : undefined, title: file.name.replace(QUILT, "") };
 }

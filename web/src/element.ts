@@ -229,7 +229,7 @@ export class LumistackViewer extends HTMLElement {
       if (dropped.kind === "preview") await this.loader.preview(new FilesSource(dropped.files, dropped.json), this.module);
       else await this.loader.field(dropped, this.module);
     } catch (error) {
-      this.report(problemOf(error, "Open something else, or load this page again."));
+      this.report(problemOf(error, "Open other files, or load this page again."));
     }
   }
 
@@ -575,7 +575,7 @@ export class LumistackViewer extends HTMLElement {
         // The simulator executes these two calls in this order, and no other call between them.
         content?.apply(seen);
         const [picture] = same ? await this.stage.pictures(content.shot(seen, slope)) : [];
-        if (!picture) throw new Error("the viewer shows something else now");
+        if (!picture) throw new Error("the viewer shows other content now");
         return picture;
       },
       done: () => this.content?.apply(this.state),
@@ -623,7 +623,7 @@ export class LumistackViewer extends HTMLElement {
   }
 
   private drawingFailed(error: unknown): void {
-    this.report(new Problem(problemOf(error, "").message, "Load this page again; if that does not help, add ?renderer=cpu to its address."));
+    this.report(new Problem(problemOf(error, "").message, "Load this page again; if the problem remains, add ?renderer=cpu to the page's address."));
   }
 
   private describe(): void {

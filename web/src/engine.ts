@@ -53,10 +53,10 @@ export class Engine {
       await engine.call("start", [module]).finally(() => URL.revokeObjectURL(script));
       return engine;
     } catch (error) {
-      const advice = "Check that lumistack_web_bg.wasm is in the same folder as viewer.js, that the server sends it, and that the page may start workers (worker-src blob:). Then load this page again.";
+      const advice = "Check that lumistack_web_bg.wasm is in the folder of viewer.js, that the server sends this file, and that the page may start workers (worker-src blob:). Then load this page again.";
       throw new Problem(
         `The simulator could not start: ${problemOf(error, "").message}`,
-        typeof WebAssembly === "undefined" ? "This browser has no WebAssembly, or it is switched off. Use another browser." : advice,
+        typeof WebAssembly === "undefined" ? "This browser has no WebAssembly, or WebAssembly is switched off. Use another browser." : advice,
       );
     }
   }

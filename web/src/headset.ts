@@ -52,7 +52,7 @@ export async function enter(views: Views): Promise<void> {
   try {
     session = await xr.requestSession(mode);
   } catch (error) {
-    throw new Problem(`The headset did not start: ${problemOf(error, "").message}`, "Check that the headset is connected, and that this page may use it.", false);
+    throw new Problem(`The headset did not start: ${problemOf(error, "").message}`, "Check that the headset is connected, and that this page may use the headset.", false);
   }
   try {
     await session.updateRenderState({ baseLayer: new XRWebGLLayer(session, gl) });

@@ -36,7 +36,7 @@ export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "v
         size = [picture.height, picture.width];
         await checked(engine.call("openField", [...size, rows, cols]));
       } else if (picture.width !== size[1] || picture.height !== size[0]) {
-        throw new Problem(`${file.name} has ${picture.width} × ${picture.height} pixels, but the views before it have ${size[1]} × ${size[0]}.`, "All views of a light field must have the same size. Drop a folder that contains only the views.", false);
+        throw new Problem(`${file.name} has ${picture.width} × ${picture.height} pixels, but earlier views have ${size[1]} × ${size[0]} pixels.`, "All views of a light field must have the same size. Drop a folder that contains only the views.", false);
       }
       await checked(engine.call("putView", [row, col, picture], [picture.data.buffer]));
       report((row * cols + col + 1) / (rows * cols));

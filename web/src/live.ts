@@ -60,7 +60,7 @@ class Bar {
     document.head.append(style);
     this.bar.className = "live waits";
     this.text.setAttribute("role", "status");
-    this.text.textContent = "Waiting for the first state";
+    this.text.textContent = "Waiting for the first state of the display";
     this.bar.append(document.createElement("i"), this.text);
     viewer.after(this.bar);
   }
@@ -76,7 +76,7 @@ class Bar {
   waits(): void {
     this.viewer.dataset.waits = "";
     this.bar.className = "live waits";
-    this.say("lumistack live does not answer; it has ended or is starting again. The picture shows its last state");
+    this.say("The program “lumistack live” does not answer; it has ended or is starting again. The picture shows the last state of the display");
   }
 
   /** Adds a check box to the bar, which a key of the keyboard also switches. */

@@ -64,7 +64,7 @@ export class Loader {
         // the reason.
         const engine = await starting;
         await openPreview(engine, json).finally(() => engine.stop());
-        throw new Error("preview.json: expected a preview, found something else");
+        throw new Error("preview.json: expected a preview, found other content");
       }
       events.shown(content);
       const early = this.early(source, content, signal);

@@ -95,7 +95,7 @@ export class Others {
     this.face.at("others").append(canvas);
     this.woven = { canvas, name: `${fileName(views.info.title)}_${panel.cols}x${panel.rows}.png` };
     this.face.at("woven-row").hidden = false;
-    this.say(`Woven for ${panel.serial || "the panel"}: ${panel.cols} × ${panel.rows} pixels. Move this window to the panel, then fill its screen. Escape leaves the full screen.`);
+    this.say(`The picture is woven for ${panel.serial || "the panel"}, ${panel.cols} × ${panel.rows} pixels. Move this window to the panel, then press Fill the screen. Escape leaves the full screen.`);
   }
 
   private async handOver(views: Views): Promise<void> {

@@ -139,7 +139,7 @@ export class Painter {
         if (this.gl?.canvas !== canvas) return;
         this.viewer.detach();
         this.gl = undefined;
-        this.post({ path: "cpu", why: "The browser took the graphics context away. The processor draws until it is back." });
+        this.post({ path: "cpu", why: "The browser took the graphics context away. The processor draws until the context is back." });
         // If the browser does not restore the context, use a new one.
         setTimeout(again, RESTORE_MS);
       });

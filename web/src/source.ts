@@ -57,7 +57,7 @@ export class ServerSource implements Source {
       throw url.protocol === "file:"
         ? new Problem(
             `The browser does not load ${shortName(url)} from disk.`,
-            "Open preview.html instead, which contains everything in one file, or serve the folder with “lumistack preview”.",
+            "Open preview.html instead, a single file with all content, or serve the folder with “lumistack preview”.",
           )
         : new Problem(`${shortName(url)} could not be fetched: no answer from ${url.host}.`, "Check that the server is running, then load this page again.");
     }
@@ -114,7 +114,7 @@ export class FilesSource implements Source {
 
   async bytes(path: string): Promise<Uint8Array<ArrayBuffer>> {
     const named = this.files.get(this.base + path) ?? this.beside(path);
-    if (!named) throw new Problem(`${path} is missing among the dropped files.`, "Drop the whole preview folder, with stack/ in it.");
+    if (!named) throw new Problem(`${path} is missing among the dropped files.`, "Drop the whole preview folder, including the folder stack.");
     return new Uint8Array(await named.arrayBuffer());
   }
 

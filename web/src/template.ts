@@ -80,7 +80,7 @@ export const TEMPLATE = `
       <p class="caption" id="caption"></p>
       <button type="button" class="primary" id="apart">Take it apart</button>
       <h2>Where you look from</h2>
-      <div class="pad" id="pad" tabindex="0" role="application" aria-label="Viewing position; arrow keys move it" aria-describedby="place"></div>
+      <div class="pad" id="pad" tabindex="0" role="application" aria-label="Viewing position; arrow keys move the position" aria-describedby="place"></div>
       <p class="place" id="place"></p>
       <p class="hidden" id="live" aria-live="polite"></p>
       <div class="row">
@@ -91,12 +91,12 @@ export const TEMPLATE = `
     </div>
     <details class="part" id="build">
       <summary>How it is built</summary>
-      ${range("gain", "Adaptation", "Multiplies the light; 1/β is an adapted eye.")}
+      ${range("gain", "Adaptation", "Factor on the light; 1/β, for brightness β, is an adapted eye.")}
       ${range("gap", "Gap error", "Added to every gap between layers.")}
       ${range("shiftx", "Misalignment across", "Offset of the front layer to the right.")}
       ${range("shifty", "Misalignment upwards", "Offset of the front layer upwards.")}
-      ${range("black", "Black level", "Light that a closed pixel lets through.")}
-      ${range("pupil", "Pupil", "Diameter of the pupil; a wide one mixes views.")}
+      ${range("black", "Black level", "Fraction of the light that a closed pixel transmits.")}
+      ${range("pupil", "Pupil", "Diameter of the viewer's pupil; a wide pupil mixes views.")}
       ${range("eye", "Eye distance", "A near eye sees several views at once.")}
       <div class="row"><button type="button" class="text" id="reset">As designed</button></div>
     </details>
@@ -111,7 +111,7 @@ export const TEMPLATE = `
   </dialog>
   <dialog id="others" aria-labelledby="others-title">
     <h2 id="others-title">Show it on another display</h2>
-    <button type="button" class="wide" id="headset" disabled>Headset<small>The display stands before you in its true size. Needs a headset that this browser knows.</small></button>
+    <button type="button" class="wide" id="headset" disabled>Headset<small>The display stands before you in its true size. This needs a headset that the browser supports.</small></button>
     <button type="button" class="wide" id="lenticular">Lenticular panel<small>Weaves the picture for one panel. Choose its calibration file, visual.json.</small></button>
     <div class="row" id="woven-row" hidden><button type="button" class="text" id="fill">Fill the screen</button><button type="button" class="text" id="woven">Save the woven picture</button></div>
     <button type="button" class="wide" id="bridge">Looking Glass Bridge<small>Saves a quilt, and shows it on the panel that Bridge drives on this computer.</small></button>

@@ -136,14 +136,14 @@ test("the processor continues when the device is lost", async () => {
 test("the processor solves if a limit of the device is too small", async () => {
   const prefix = "Object.defineProperty(GPUSupportedLimits.prototype, 'maxStorageBuffersPerShaderStage', { get: () => 8 });\n";
   const { at, status, warnings } = await solved("preset=paper-three-layer&cols=96&frames=2&iterations=2&device=gpu", { prefix });
-  assert.match(warnings, /need 9 buffers in one program, the device allows 8; the processor solves instead/);
+  assert.match(warnings, /need 9 buffers in one program, but the device allows at most 8; the processor solves instead/);
   assert.match(status, /On the processor\.$/);
   await at.context().close();
 });
 
 test("the processor solves without an adapter, or if the only adapter is software and the address does not select it", async () => {
   for (const [of, reason] of [
-    [browser, /On the processor: this browser offers only a graphics adapter in software\.$/],
+    [browser, /On the processor: this browser offers only a graphics processor in software\.$/],
     [plain, /On the processor: this browser offers no graphics processor\.$/],
   ]) {
     const at = await page("preset=paper-three-layer&cols=96&frames=2&iterations=2", { of });

@@ -199,7 +199,7 @@ test("a broken file gives the command's error, and the page stays usable", { ski
   const said = await problem(at);
   const { message } = refusal(letters, "info", "letters.gltf");
   assert.ok(message.includes(plain(said)), `page: ${said}\ncommand: ${message}`);
-  assert.match(said, /readable Png/);
+  assert.match(said, /readable PNG/);
   await shot(at, "broken");
   await at.setInputFiles("#files", { name: "words.txt", mimeType: "text/plain", buffer: Buffer.from("a") });
   assert.match(await problem(at), /nothing to solve in this file.*Drop a \.glb/);

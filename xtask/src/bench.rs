@@ -29,7 +29,7 @@ cargo xtask bench [what]
   gpu           the paper's case with 12 frames on a graphics processor, or on an adapter in software if there is none: updates per
                 second compared with the processor; transferred bytes and arithmetic compared with the adapter's limits
       --quick        a sixteenth of the pixels
-      NAME           an adapter whose name contains this
+      NAME           an adapter whose name contains NAME
   stream        a display whose target does not fit into memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames
   outputs       memory of the outputs `images` and `web_simulator` with 4 and with 12 frames of three 4K layers
   render [scene.gltf]   the path tracer on two cores: rays per second of the tree compared with Embree, and one view of diffuse
@@ -246,7 +246,7 @@ fn peers() -> Vec<[PathBuf; 2]> {
         let fetched = if there() || given.is_some() { Ok(()) } else { fetch(module, &python) };
         match fetched {
             Ok(()) if there() => peers.push([python.clone(), tools::root().join("xtask/bench").join(script)]),
-            Ok(()) => println!("bench: {name} is not compared: {} cannot import it", python.display()),
+            Ok(()) => println!("bench: {name} is not compared: {} cannot import the package", python.display()),
             Err(error) => println!("bench: {name} is not compared: {error}"),
         }
     }

@@ -160,7 +160,10 @@ fn default_scenes() -> Vec<String> {
 pub fn asset(file: &str) -> Option<String> {
     let path = tools::assets().join(file);
     if !path.is_file() {
-        println!("bench: {} is missing, so it is skipped; LUMISTACK_ASSETS sets the folder", path.display());
+        println!(
+            "bench: {} is missing, so the scene is skipped; LUMISTACK_ASSETS sets the folder of scenes",
+            path.display()
+        );
         return None;
     }
     Some(text(&path))
@@ -208,7 +211,7 @@ fn has(python: &Path, [package, module]: &[&str; 2]) -> bool {
     }
     let there = imports(python, module);
     if !there {
-        println!("bench: {module} is not compared: {} cannot import it", python.display());
+        println!("bench: {module} is not compared: {} cannot import the module", python.display());
     }
     there
 }

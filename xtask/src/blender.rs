@@ -79,7 +79,11 @@ fn fetch_program() -> Outcome {
     let missing: Vec<&str> =
         PROGRAM.iter().filter(|(file, _)| !Path::new(file).exists()).map(|(_, package)| *package).collect();
     tools::apt(&missing, "test the Blender extension")?;
-    if has_blender() { Ok(()) } else { Err("Blender's program does not start".into()) }
+    if has_blender() {
+        Ok(())
+    } else {
+        Err("blender: expected the program `blender` on PATH to start, found none that starts".into())
+    }
 }
 
 /// Tests the extension's command without a window. This needs a `blender` process, since
@@ -113,7 +117,10 @@ pub fn some(names: &str, version: &str) -> Outcome {
     let python = environment(version)?;
     let zip = zip_of(machine()?);
     if !zip.is_file() {
-        return Err(format!("{}: expected the extension, found none; `cargo xtask blender` makes it", zip.display()));
+        return Err(format!(
+            "{}: expected the extension, found none; `cargo xtask blender` makes the extension",
+            zip.display()
+        ));
     }
     cases(&python, &zip, version, names)
 }
@@ -178,7 +185,7 @@ fn extension(python: &Path, wheels: &[PathBuf], platforms: &[&str]) -> Outcome<P
     let version = env!("CARGO_PKG_VERSION");
     if !text.contains(&format!("version = \"{version}\"")) {
         return Err(format!(
-            "plugins/blender/blender_manifest.toml: expected the workspace's version, {version}, found another"
+            "plugins/blender/blender_manifest.toml: expected the workspace's version, {version}, found another version"
         ));
     }
     let names: Vec<String> = wheels.iter().map(|wheel| format!("./wheels/{}", name_of(wheel))).collect();
@@ -186,7 +193,8 @@ fn extension(python: &Path, wheels: &[PathBuf], platforms: &[&str]) -> Outcome<P
     std::fs::write(&manifest, text.replacen("[permissions]", &lines, 1)).map_err(|error| io(&manifest, error))?;
     // Pack and validate the zips by Blender's own tool.
     let tool = "import glob, sysconfig; print(glob.glob(sysconfig.get_path('purelib') + '/bpy/*/scripts/addons_core/bl_pkg/cli/blender_ext.py')[0])";
-    let tool = output_of(command(python).args(["-c", tool])).ok_or("this bpy has no tool for extensions")?;
+    let tool = output_of(command(python).args(["-c", tool]))
+        .ok_or("bpy: expected a version with Blender's tool for extensions, found a version without the tool")?;
     let tool = || {
         let mut blender = command(python);
         blender.arg(tool.trim());
@@ -219,7 +227,7 @@ fn machine() -> Outcome<&'static str> {
         .into_iter()
         .find(|platform| (platform.system, platform.machine) == (system, machine))
         .map(|platform| platform.name)
-        .ok_or_else(|| format!("expected a platform of Blender, found {system} on {machine}"))
+        .ok_or_else(|| format!("expected a system for which Blender has extensions, found {system} on {machine}"))
 }
 
 /// A platform: Blender's name for it, Rust's names for its system and machine, and the beginning
@@ -269,7 +277,10 @@ fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
             found.push(platform.name);
         }
         if found.len() == before {
-            return Err(format!("{}: expected the tag of a platform of Blender, found {tag}", wheel.display()));
+            return Err(format!(
+                "{}: expected the tag of a system for which Blender has extensions, found {tag}",
+                wheel.display()
+            ));
         }
     }
     Ok(found)

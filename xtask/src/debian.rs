@@ -22,10 +22,10 @@ fn apart() -> Command {
 /// Returns the folder of an unused Debian stable; makes it at the first call.
 pub fn clean() -> Outcome<PathBuf> {
     if output_of(command("id").arg("-u")).is_none_or(|id| id.trim() != "0") {
-        return Err("only root can make a Debian".into());
+        return Err("a clean Debian can be made only by the user root".into());
     }
     if output_of(apart().arg("true")).is_none() {
-        return Err("this machine allows no mounts".into());
+        return Err("a clean Debian needs mounts, which this machine does not allow".into());
     }
     let base = folder().join("debian-stable");
     if base.join("usr/bin/apt-get").is_file() {

@@ -23,7 +23,7 @@ pub fn check() -> Outcome {
     let fetched = deny(&["fetch", "db"]).output().map_err(|error| format!("cargo-deny: {error}"))?;
     if !fetched.status.success() {
         let said = String::from_utf8_lossy(&fetched.stderr);
-        let cause = said.trim().lines().last().unwrap_or("no reason was given");
+        let cause = said.trim().lines().last().unwrap_or("cargo-deny gave no reason");
         println!("advisories: not checked: the database (github.com/RustSec/advisory-db) cannot be fetched: {cause}");
         return Ok(());
     }
@@ -53,5 +53,5 @@ fn install() -> Result<PathBuf, String> {
     println!("\nfetching: cargo-deny, in target/deny-tools (used only to check dependencies; two minutes)");
     let mut install = command("cargo");
     tools::run(install.args(["install", "cargo-deny", "--locked", "--root"]).arg(root()))?;
-    found().ok_or_else(|| "cargo-deny was installed and does not start".into())
+    found().ok_or_else(|| "cargo-deny was installed, but does not start".into())
 }

@@ -149,9 +149,10 @@ fn downloaded_wheels(mut wheels: Vec<PathBuf>, targets: &[Target]) -> Outcome<Ve
     }
     let triples: Vec<&str> = targets.iter().map(|target| target.triple).collect();
     Err(format!(
-        "target/dist: expected a wheel `-abi3-` for each of {}, found {}: {wheels:?}; download the files of all machines",
+        "target/dist: expected a wheel `-abi3-` for each of {}, found {} wheels ({}); download the files of all machines",
         triples.join(", "),
-        wheels.len()
+        wheels.len(),
+        wheels.iter().map(|wheel| wheel.display().to_string()).collect::<Vec<_>>().join(", ")
     ))
 }
 

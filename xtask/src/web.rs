@@ -122,7 +122,7 @@ pub fn pages() -> Outcome {
         let [built, used] = [PACKAGE, DIST].map(|folder| fs::read(root().join(folder).join(format!("{name}_bg.wasm"))));
         if !matches!((built, used), (Ok(built), Ok(used)) if built == used) {
             return Err(format!(
-                "web: module {name}: expected the same file in {PACKAGE} and {DIST}, found another or none; run `cargo xtask web`"
+                "web: module {name}: expected one content in {PACKAGE} and {DIST}, found different files, or no file; run `cargo xtask web`"
             ));
         }
     }
@@ -140,13 +140,13 @@ fn bundle() -> Outcome {
 /// pages.
 pub fn check() -> Outcome {
     let (now, committed) = (hashes()?, fs::read_to_string(root().join(HASH)).unwrap_or_default());
-    let parts = ["the modules' sources", "the pages' sources", "its files"];
+    let parts = ["the modules' sources", "the pages' sources", "the files of web/dist"];
     for (i, what) in parts.into_iter().enumerate() {
         let [now, committed] = [&now, &committed].map(|hashes| hashes.lines().nth(i));
         if now != committed {
             let (now, committed) = (now.unwrap_or("none"), committed.unwrap_or("none"));
-            let remedy = "run `cargo xtask web` and commit what it writes";
-            return Err(format!("web: {DIST}: expected the hash of {what} {committed}, found {now}: {remedy}"));
+            let remedy = "run `cargo xtask web`, and commit the files in web/dist";
+            return Err(format!("web: {DIST}: expected {committed}, the hash of {what}, found {now}: {remedy}"));
         }
     }
     measure()?;

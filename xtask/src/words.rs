@@ -83,7 +83,7 @@ pub fn check(all: bool) -> Outcome {
 
     // Find marks of a merge. `git grep` fails if it finds none, which is the normal case.
     for mark in output_of(command("git").args(["grep", "-InE", MERGE_MARK])).unwrap_or_default().lines() {
-        println!("{mark}: a mark of an unfinished merge");
+        println!("{mark}: expected no mark of an unfinished merge, found one");
         failed += 1;
     }
 
@@ -100,7 +100,9 @@ pub fn check(all: bool) -> Outcome {
     }
     match failed {
         0 => Ok(()),
-        count => Err(format!("words: {count} problems; docs/GLOSSARY.md has the terms, CONTRIBUTING.md the rules")),
+        count => Err(format!(
+            "words: number of problems: {count}; docs/GLOSSARY.md has the terms, CONTRIBUTING.md the rules"
+        )),
     }
 }
 
@@ -188,7 +190,10 @@ fn problems_of_block(path: &str, block: &Block, banned: &[Banned], found: &mut V
         let whats = words.iter().filter(|word| *word == "what");
         sum.whats.extend(whats.map(|_| format!("{path}:{}", sentence.line)));
         if words.len() > LONGEST_SENTENCE {
-            found.push((sentence.line, format!("a sentence of {} words, over {LONGEST_SENTENCE}", words.len())));
+            found.push((
+                sentence.line,
+                format!("expected a sentence of at most {LONGEST_SENTENCE} words, found {} words", words.len()),
+            ));
         }
         if let Some(first) = words.first().filter(|first| NO_BEGINNING.contains(&first.as_str())) {
             found.push((sentence.line, format!("a sentence begins with \"{first}\", which the style guide forbids")));
@@ -197,7 +202,7 @@ fn problems_of_block(path: &str, block: &Block, banned: &[Banned], found: &mut V
             if words.windows(phrase.len()).any(|window| window == phrase) {
                 found.push((
                     sentence.line,
-                    format!("\"{}\" is not a word of the glossary: use {instead}", phrase.join(" ")),
+                    format!("expected {instead}, the glossary's word, found \"{}\"", phrase.join(" ")),
                 ));
             }
         }
@@ -220,7 +225,9 @@ fn wide_comments(path: &str, text: &str) -> impl Iterator<Item = (usize, String)
         let unbreakable = text.starts_with('|') || trimmed.contains("://");
         let width = line.chars().count();
         let wide = is_comment && width > WIDEST_COMMENT && !unbreakable;
-        wide.then(|| (index + 1, format!("a comment line of {width} columns, over {WIDEST_COMMENT}")))
+        wide.then(|| {
+            (index + 1, format!("expected a comment line of at most {WIDEST_COMMENT} columns, found {width} columns"))
+        })
     })
 }
 
@@ -243,17 +250,17 @@ mod tests {
     fn banned_words_are_found_in_comments_alone() {
         assert_eq!(
             problems("// the triangle that is met\nlet met = 1;\n"),
-            ["1: \"met\" is not a word of the glossary: use hit"]
+            ["1: expected hit, the glossary's word, found \"met\""]
         );
         let across = problems("/// Applies the\n/// look.\nfn look() {}\n");
-        assert_eq!(across, ["1: \"the look\" is not a word of the glossary: use exposure and tone curve"]);
+        assert_eq!(across, ["1: expected exposure and tone curve, the glossary's word, found \"the look\""]);
         assert!(problems("// the meeting of `met` and metre\n").is_empty());
     }
 
     #[test]
     fn long_sentences_and_beginnings_are_found() {
         let long = format!("// Short one. Word\n{}// end.\n", "// and word\n".repeat(15));
-        assert_eq!(problems(&long), ["1: a sentence of 32 words, over 30"]);
+        assert_eq!(problems(&long), ["1: expected a sentence of at most 30 words, found 32 words"]);
         let beginnings = problems("/// Fine.\n/// What it does.\n/// Whether it does.\n/// Of all, one.\n");
         assert_eq!(beginnings.len(), 3);
         assert_eq!(beginnings[0], "2: a sentence begins with \"what\", which the style guide forbids");
@@ -262,7 +269,7 @@ mod tests {
     #[test]
     fn wide_comments_are_found_and_addresses_may_be_wide() {
         let line = format!("    // {}\n", "a".repeat(94));
-        assert_eq!(problems(&line), ["1: a comment line of 101 columns, over 100"]);
+        assert_eq!(problems(&line), ["1: expected a comment line of at most 100 columns, found 101 columns"]);
         assert!(problems(&format!("/// | {} |\n", "a".repeat(94))).is_empty());
         assert!(problems(&format!("// https://{}\n", "a".repeat(94))).is_empty());
         assert!(problems(&format!("let a = \"{}\";\n", "a".repeat(94))).is_empty());

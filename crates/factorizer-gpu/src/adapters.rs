@@ -76,8 +76,10 @@ pub(crate) fn choose(name: Option<&str>) -> Result<(Adapter, wgpu::Adapter), Str
     };
     let Some(at) = all.iter().position(|(adapter, _)| fits(adapter)) else {
         let names: Vec<_> = all.iter().map(|(a, _)| format!("{} ({}, {})", a.name, a.kind, a.backend)).collect();
-        let found = if names.is_empty() { "none with Vulkan, Metal or Direct3D 12".into() } else { names.join("; ") };
-        let expected = name.map_or("a graphics processor".into(), |name| format!("an adapter named like `{name}`"));
+        let found =
+            if names.is_empty() { "no device with Vulkan, Metal or Direct3D 12".into() } else { names.join("; ") };
+        let expected = name
+            .map_or("a graphics processor".into(), |name| format!("a graphics processor whose name contains `{name}`"));
         return Err(format!("expected {expected}, found {found}"));
     };
     Ok(all.swap_remove(at))

@@ -73,7 +73,11 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| heard(error.to_string())));
         // If a web page loses its device, the solver continues on the processor. So in a page this
         // error states no remedy.
-        let remedy = if cfg!(target_arch = "wasm32") { "" } else { "; run again, or use --device cpu" };
+        let remedy = if cfg!(target_arch = "wasm32") {
+            ""
+        } else {
+            "; repeat the command, or solve on the processor with --device cpu"
+        };
         device.set_device_lost_callback(move |_, message| {
             lost(format!("the device was lost: {message}").trim_end_matches(": ").to_owned() + remedy);
         });

@@ -15,6 +15,9 @@ use crate::text::{FIRST_FACTOR, Program, Update};
 use crate::values::Values;
 use crate::wait;
 
+/// Advice for a display that the device cannot solve. In a page the processor solves instead.
+const REMEDY: &str = if cfg!(target_arch = "wasm32") { "" } else { "; solve on the processor with --device cpu" };
+
 /// The patterns of a run on a device.
 pub(crate) struct State {
     gpu: Arc<Gpu>,
@@ -56,14 +59,14 @@ impl State {
         // refuse displays outside the device's limits with a clear message, before any allocation
         let (plan, n_factors) = (begin.plan.clone(), begin.plan.factor_count());
         if begin.display.layers.iter().any(|layer| layer.response().is_some()) {
-            let why = "layers with blur, crosstalk, colour filters or one value for all channels need the processor (--device cpu)";
-            return Err(gpu.error(why.into()));
+            let why = "expected layers without blur, crosstalk, colour filters or one value for all channels, found a layer with one of these properties";
+            return Err(gpu.error(format!("{why}{REMEDY}")));
         }
         let limits = &gpu.limits;
         let (bindings, most) = (FIRST_FACTOR - 1 + n_factors, limits.max_storage_buffers_per_shader_stage);
         if bindings > most as usize {
             return Err(gpu.error(format!(
-                "{n_factors} layers and backlights need {bindings} buffers in one program, the device allows {most}"
+                "{n_factors} layers and backlights need {bindings} buffers in one program, but the device allows at most {most}{REMEDY}"
             )));
         }
         let sizes = (0..n_factors).map(|n| (plan.size(n)[0] * plan.size(n)[1] * plan.frames()) as u64);
@@ -71,7 +74,7 @@ impl State {
         if largest > limits.max_buffer_size {
             let [needed, allowed] = [largest, limits.max_buffer_size].map(|bytes| bytes.div_ceil(1 << 20));
             return Err(gpu.error(format!(
-                "too little memory: a channel needs a buffer of {needed} MiB, the device allows {allowed} MiB"
+                "too little memory: one channel needs a buffer of {needed} MiB, but the device allows at most {allowed} MiB{REMEDY}"
             )));
         }
         // wgpu reports failed allocations through error scopes
@@ -82,7 +85,11 @@ impl State {
         let errors: Vec<_> = errors.flatten().collect();
         if let Some(error) = errors.first() {
             let memory = matches!(error, wgpu::Error::OutOfMemory { .. });
-            return Err(gpu.error(if memory { "too little memory".into() } else { error.to_string() }));
+            return Err(gpu.error(if memory {
+                format!("too little memory for all buffers of the display{REMEDY}")
+            } else {
+                error.to_string()
+            }));
         }
         gpu.check()?;
         state
@@ -109,8 +116,9 @@ impl State {
             align: u64::from(limits.min_storage_buffer_offset_alignment),
             groups: limits.max_compute_workgroups_per_dimension as usize,
         };
-        let too_small =
-            || gpu.error("too little memory: one line's rays read more than the device can bind to one program".into());
+        let too_small = || {
+            gpu.error(format!("too little memory: the rays of one row of pixels read more than the device can bind to one program{REMEDY}"))
+        };
         let bands: Option<Vec<_>> = (0..factors.len()).map(|n| sizes.of_factor(n, plan.size(n)[0])).collect();
         let bands = bands.ok_or_else(too_small)?;
         let row_bands = sizes.of_rows(plan.field()[0]).ok_or_else(too_small)?;

@@ -365,7 +365,10 @@ fn a_cancelled_step_leaves_the_patterns() {
 #[test]
 fn what_a_device_cannot_do_is_one_clear_message() {
     let missing = Device::open(Some("no such adapter")).err().unwrap().to_string();
-    assert!(missing.contains("expected an adapter named like `no such adapter`, found "), "{missing}");
+    assert!(
+        missing.contains("expected a graphics processor whose name contains `no such adapter`, found "),
+        "{missing}"
+    );
     let Some(device) = device() else { return };
     let mut owned = random(Kind::Plain, 3);
     owned.display.layers[0].blur_px = 0.5;
@@ -375,7 +378,7 @@ fn what_a_device_cannot_do_is_one_clear_message() {
         begun.err().unwrap().to_string()
     };
     let refused = message(&device, &owned);
-    assert!(refused.ends_with("need the processor (--device cpu)"), "{refused}");
+    assert!(refused.ends_with("; solve on the processor with --device cpu"), "{refused}");
     owned.display.layers[0].blur_px = 0.0;
     let small = message(&device.with_binding_bytes(16).unwrap(), &owned);
     assert!(small.contains("too little memory"), "{small}");

@@ -94,7 +94,9 @@ pub enum FactorizeError {
         found: f32,
     },
     /// The patterns exceed the address space.
-    #[error("display: expected patterns that fit into memory, found patterns of {values} values")]
+    #[error(
+        "display: expected patterns that fit into memory, found patterns of {values} values: reduce resolution or frames"
+    )]
     TooLarge {
         /// Number of values over all layers, frames and channels.
         values: u128,
@@ -102,7 +104,7 @@ pub enum FactorizeError {
     /// No valid ray has a weight above 0, so all patterns are equally good. A ray is valid if it
     /// hits a lit lenslet and all layers; some displays also allow rays that miss layers.
     #[error(
-        "weights and layers: expected a ray that has a weight above 0 and hits all layers and a lit lenslet, found none"
+        "weights and layers: expected at least one ray that has a weight above 0 and hits all layers (and a lit lenslet, if there are lenslets), found none"
     )]
     NoRays,
     /// No solver has this name.

@@ -86,7 +86,9 @@ impl ChannelRun {
             );
         }
         if display.layers.iter().any(|layer| layer.response().is_some()) {
-            return unsuitable("expected layers without blur, crosstalk, filters or tied channels, found one of these");
+            return unsuitable(
+                "expected layers without blur, crosstalk, colour filters or one value for all channels, found a layer with one of these properties",
+            );
         }
         const EXPONENT: u16 = 0x7c00;
         if !crate::bands::all(values, |part| part.iter().all(|half| half & EXPONENT != EXPONENT)) {

@@ -32,7 +32,7 @@ pub(crate) fn source(path: &Path, task: Task<'_>) -> Result<Source, FieldError> 
         return Err(FieldError::malformed(
             path,
             "shape",
-            "at least one view and pixel",
+            "at least one view, and at least one pixel in a view",
             format!("{:?}", array.shape()),
         ));
     }
@@ -52,7 +52,7 @@ pub(crate) fn source(path: &Path, task: Task<'_>) -> Result<Source, FieldError> 
     if encoded && linear.is_none() {
         task.warn(
             place(path),
-            "integers are taken as sRGB code values; if they are linear, write \"linear\": true in a JSON file of the same name",
+            "the array's integers are taken as sRGB code values; if the integers are linear, write \"linear\": true in a JSON file with the array's name",
         );
     }
     Ok(Source {

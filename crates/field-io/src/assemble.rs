@@ -97,8 +97,9 @@ pub(crate) fn assemble(
     let Plan { picks, window, geometry } = plan(source, flags, defaults, task)?;
     let averaged = averaged(source, flags, reading.footprint, &picks, &window, &geometry, task)?;
     let shape = LightField::shape_of(&geometry);
-    let count = Tensor::element_count(shape)
-        .ok_or_else(|| FieldError::malformed(&path, "size", "an array that fits in memory", format!("{shape:?}")))?;
+    let count = Tensor::element_count(shape).ok_or_else(|| {
+        FieldError::malformed(&path, "size", "a light field that fits in memory", format!("the shape {shape:?}"))
+    })?;
     // Reserve memory or begin a file for the result, and read views one at a time.
     let place = reading.paging.and_then(|paging| paging(&geometry));
     let mut all = match place {
@@ -229,7 +230,7 @@ fn averaged(
     };
     let shares = [along(1, &geometry.grid.slope_y), along(0, &geometry.grid.slope_x)];
     if shares == alone {
-        let message = "the prefilter changes nothing: the views are too far apart for this display";
+        let message = "the prefilter changes nothing, since the views are too far apart for the display";
         task.warn(geometry::place(&source.path), message);
     }
     Ok(shares)
@@ -339,10 +340,10 @@ fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     }
     let focus_px = median.round();
     let mut message = format!(
-        "no content is at zero disparity: content moves by {low:.1} to {high:.1} pixels per view, so content with a disparity of {focus_px} pixels is moved to z = 0 (--focus-px sets this disparity)"
+        "no content is at zero disparity: from view to view, content moves by {low:.1} to {high:.1} pixels. So content with a disparity of {focus_px} pixels is moved to z = 0 (--focus-px sets another disparity)"
     );
     if median < 0.0 {
-        message += "; content moves with the camera, so if the scene looks inside out, the views are in reverse order (--mirror)";
+        message += "; content moves in the direction of the camera's movement. If the scene looks inside out, the views are in reverse order (--mirror reverses the order again)";
     }
     task.warn(geometry::place(&source.path), message);
     Ok(focus_px)
@@ -382,7 +383,7 @@ impl Range {
             let (count, lowest) = (self.negative, self.lowest);
             task.warn(
                 geometry::place(path),
-                format!("negative values are taken as 0 (count: {count}, lowest: {lowest})"),
+                format!("negative values, which are set to 0: {count}; the lowest value is {lowest}"),
             );
         }
     }

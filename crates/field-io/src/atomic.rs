@@ -96,7 +96,7 @@ fn folder_of(path: &Path) -> &Path {
 
 fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) -> io::Result<()> {
     if path.is_dir() {
-        return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has this name"));
+        return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has the name of the file"));
     }
     let mut beside = temporary_beside(folder_of(path))?;
     // The lock shows other processes that the writer is alive; see [`is_abandoned`]. On a file
@@ -191,7 +191,7 @@ mod tests {
             assert!(error.ends_with("out: output folder: expected a folder or nothing, found a file"), "{error}");
         }
         let error = write_bytes(folder.path(), b"x").unwrap_err().to_string();
-        assert!(error.contains("a folder has this name"), "{error}");
+        assert!(error.contains("a folder has the name of the file"), "{error}");
         assert_eq!(names(folder.path()), ["out"]);
         create_folder(&folder.path().join("new/deeper")).unwrap();
     }

@@ -104,9 +104,10 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     cameras.iter().for_each(|(name, _)| *groups.entry(&name.prefix).or_default() += 1);
     let prefix = groups.iter().max_by_key(|(_, count)| **count).map_or(&first.prefix[..], |(prefix, _)| prefix);
     if groups.len() > 1 {
+        let kept = if prefix.is_empty() { "the row".to_owned() } else { format!("`{prefix}`") };
         task.warn(
             place(folder),
-            format!("names differ before row and column; only pictures with the prefix `{prefix}` are read"),
+            format!("the names of the pictures have different beginnings before row and column; only pictures whose names begin with {kept} are read"),
         );
     }
     let prefix = prefix.to_string();

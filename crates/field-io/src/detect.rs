@@ -55,7 +55,7 @@ fn detect_folder(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<S
             let expected = "a light field: lightfield.json, pictures named NAME_RR_CC_Y_X, RR_CC or input_Cam000, a quilt, or one .npy";
             let found = match (pictures.len(), arrays.len()) {
                 (0, 0) => "neither pictures nor arrays".into(),
-                (pictures, 0) => format!("several quilts, or pictures with other names (count: {pictures})"),
+                (pictures, 0) => format!("several quilts, or pictures with other names (pictures: {pictures})"),
                 (pictures, arrays) => {
                     format!("several files (arrays: {arrays}, pictures: {pictures}); give the path of one of them")
                 }

@@ -36,7 +36,7 @@ pub enum FieldError {
     },
     /// Two views of one light field differ in size.
     #[error(
-        "views of different sizes: {} has {} × {} pixels, {} has {} × {}",
+        "expected views of one size, found {} with {} × {} pixels and {} with {} × {} pixels",
         first.display(), first_size[0], first_size[1], second.display(), second_size[0], second_size[1]
     )]
     ViewSizes {
@@ -50,11 +50,11 @@ pub enum FieldError {
         second_size: [usize; 2],
     },
     /// Neither flags, files nor defaults define a value of the geometry.
-    #[error("{}: {what} is not known: give {flag}", path.display())]
+    #[error("{}: {what} is unknown; state the value with {flag}", path.display())]
     MissingGeometry {
         /// Path of the light field.
         path: PathBuf,
-        /// Description of the value that is missing, such as "the size of its pixels".
+        /// Description of the value that is missing, such as "the size of the pixels".
         what: &'static str,
         /// The flag that supplies the value, with an example.
         flag: &'static str,

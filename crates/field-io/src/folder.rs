@@ -310,7 +310,7 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
     if listing.partial {
         let count = |slopes: &Option<Vec<f64>>| slopes.as_ref().map_or(0, Vec::len);
         let all = count(&geometry.slope_y) * count(&geometry.slope_x);
-        let expected = "all views, or whole rows and columns of views (`lumistack render` without --only-views renders the missing ones)";
+        let expected = "all views, or whole rows and columns of views (`lumistack render` without --only-views renders the missing views)";
         return Err(FieldError::malformed(&path, "views", expected, format!("{} of {all} views", listing.views.len())));
     }
     // Check required keys and plausible counts before files are opened.
@@ -376,7 +376,11 @@ fn listed_files(
         };
         let [view_y, view_x] = entry.view;
         if view_y >= rows || view_x >= cols {
-            return bad("view", format!("[view_y, view_x] below [{rows}, {cols}]"), format!("{:?}", entry.view));
+            return bad(
+                "view",
+                format!("a view [view_y, view_x] with view_y below {rows} and view_x below {cols}"),
+                format!("{:?}", entry.view),
+            );
         }
         let expected = [slope_x[view_x], slope_y[view_y]];
         let from_eye = entry.eye_mm.zip(distance_mm).map(|(eye, distance)| [eye[0] / distance, eye[1] / distance]);

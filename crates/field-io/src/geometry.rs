@@ -185,21 +185,26 @@ pub(crate) fn resolve(
     });
     if let Some(own) = hints.projection.filter(|own| *own != kind) {
         let name = |kind| if kind == ProjectionKind::Oblique { "oblique" } else { "perspective" };
-        task.warn(place(path), format!("its own {} views are taken as {} (--grid)", name(own), name(kind)));
+        task.warn(
+            place(path),
+            format!("the light field states {} views, but they are taken as {} views (--grid)", name(own), name(kind)),
+        );
     }
     if let Some((own_mm, given_mm)) =
         hints.distance_mm.zip(flags.distance_mm).filter(|(own, given)| differ(*own, *given))
     {
         task.warn(
             place(path),
-            format!("its own viewing distance of {own_mm} mm is replaced by {given_mm} mm (--distance-mm)"),
+            format!(
+                "the light field's own viewing distance, {own_mm} mm, is replaced by {given_mm} mm (--distance-mm)"
+            ),
         );
     }
     // A perspective grid needs a viewing distance: from the flag, the file, or the lens.
     let projection = match kind {
         ProjectionKind::Oblique => {
             if flags.distance_mm.is_some() {
-                task.warn(place(path), "the viewing distance is not used, since the views are parallel projections");
+                task.warn(place(path), "the given viewing distance has no effect, since the views are parallel projections (--distance-mm)");
             }
             Projection::Oblique
         }
@@ -236,7 +241,7 @@ fn pitch(
         if let Some(own_mm) = own_mm.filter(|own_mm| differ(*own_mm, pitch_mm)) {
             task.warn(
                 place(path),
-                format!("its own pixel pitch of {own_mm:.4} mm is replaced by {pitch_mm} mm (--pitch-mm)"),
+                format!("the light field's own pixel pitch, {own_mm:.4} mm, is replaced by {pitch_mm} mm (--pitch-mm)"),
             );
         }
         return Ok(pitch_mm);
@@ -246,12 +251,12 @@ fn pitch(
     }
     let width_mm = defaults.width_mm.ok_or_else(|| FieldError::MissingGeometry {
         path: path.into(),
-        what: "the size of its pixels",
+        what: "the size of the pixels",
         flag: "--pitch-mm, for example --pitch-mm 0.5",
     })?;
     task.warn(
         place(path),
-        format!("its physical size is not known; a width of {width_mm:.2} mm is used (--pitch-mm sets the pitch)"),
+        format!("the physical size of the light field is unknown; a width of {width_mm:.2} mm is used (--pitch-mm sets another pitch)"),
     );
     Ok(width_mm / cols)
 }
@@ -283,8 +288,9 @@ fn slopes(
             if pairs().any(|(own, given)| differ(*own, *given)) {
                 let [own_x, own_y] = own.each_ref().map(|slopes| full_angle_deg(slopes));
                 let [x, y] = fov_deg;
-                let message =
-                    format!("its own angles of {own_x:.1}° × {own_y:.1}° are replaced by {x}° × {y}° (--fov)");
+                let message = format!(
+                    "the full angles of the light field's views, {own_x:.1}° × {own_y:.1}°, are replaced by {x}° × {y}° (--fov)"
+                );
                 task.warn(place(path), message);
             }
         }
@@ -314,17 +320,17 @@ fn slopes(
     // no default angles, use the cameras' own slopes.
     if let Some(fov_deg) = defaults.fov_deg {
         let [x, y] = fov_deg;
-        let mut message = format!("its views are spread over {x}° × {y}° (--fov sets the angles)");
+        let mut message = format!("the views are spread over {x}° × {y}° (--fov sets other angles)");
         if let Some(own) = &own_slopes {
             let own = own.each_ref().map(|slopes| full_angle_deg(slopes));
-            message += &format!("; the cameras' own angles are {:.1}° × {:.1}°", own[0], own[1]);
+            message += &format!("; the cameras of the views were spread over {:.1}° × {:.1}°", own[0], own[1]);
         }
         task.warn(place(path), message);
         return Ok((filled(spread(fov_deg)?), false));
     }
     let missing = || FieldError::MissingGeometry {
         path: path.into(),
-        what: "the full angle of its views",
+        what: "the full angle of the views",
         flag: "--fov, for example --fov 20x20",
     };
     own_slopes.map(|slopes| (filled(slopes), true)).ok_or_else(missing)
@@ -379,7 +385,7 @@ pub(crate) fn full_angle_deg(slopes: &[f64]) -> f64 {
 fn missing_distance(path: &Path) -> FieldError {
     FieldError::MissingGeometry {
         path: path.into(),
-        what: "the viewing distance of its perspective views",
+        what: "the viewing distance of the perspective views",
         flag: "--distance-mm, for example --distance-mm 600 (or --grid oblique)",
     }
 }

@@ -126,9 +126,12 @@ fn grid_size(folder: &Path, parameters: &Parameters, count: usize, task: Task<'_
             folder,
             "views",
             expected,
-            format!("{count} pictures without these numbers"),
+            format!("{count} pictures, which make no square, and no num_cams_x and num_cams_y"),
         ));
     }
-    task.warn(place(folder), format!("no {PARAMETERS} with the arrangement of the cameras; {side} × {side} is used"));
+    task.warn(
+        place(folder),
+        format!("{PARAMETERS} does not state the arrangement of the cameras; {side} × {side} cameras are assumed"),
+    );
     Ok([side, side])
 }

@@ -106,7 +106,7 @@ impl NpyFile {
             return Err(FieldError::malformed(
                 path,
                 "fortran_order",
-                "False (numpy.ascontiguousarray makes such an array)",
+                "False (numpy.ascontiguousarray makes an array in this order)",
                 "True",
             ));
         }
@@ -233,7 +233,7 @@ fn read_header(path: &Path, file: &mut impl Read) -> Result<(NpyHeader, u64), Fi
     let mut bytes = vec![0; 10];
     file.read_exact(&mut bytes).map_err(short)?;
     if !bytes.starts_with(b"\x93NUMPY") {
-        return Err(bad("a NumPy array (.npy)", "another format".into()));
+        return Err(bad("a NumPy array (.npy)", "a file of another format".into()));
     }
     let mut length = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
     if bytes[6] > 1 {
@@ -243,7 +243,7 @@ fn read_header(path: &Path, file: &mut impl Read) -> Result<(NpyHeader, u64), Fi
         length |= usize::from(u16::from_le_bytes(upper)) << 16;
     }
     if length > HEADER_LIMIT {
-        return Err(bad(&format!("at most {HEADER_LIMIT} bytes"), format!("{length}")));
+        return Err(bad(&format!("at most {HEADER_LIMIT} bytes"), format!("{length} bytes")));
     }
     let text_start = bytes.len();
     bytes.resize(text_start + length, 0);

@@ -136,8 +136,8 @@ impl Paged {
         let window = unsafe { Window::new(&map, limit) };
         let values = Mapped { map, window, storage: storage(&folder, limit) };
         let radiance = Tensor::lent(LightField::AXES, LightField::shape_of(&geometry), Arc::new(values));
-        let radiance = radiance
-            .map_err(|error| FieldError::malformed(&folder, "light field", "all of its views", error.to_string()))?;
+        let radiance =
+            radiance.map_err(|error| FieldError::malformed(&folder, "light field", "all views", error.to_string()))?;
         LightField::new(geometry, radiance).map_err(FieldError::geometry(&folder))
     }
 }

@@ -65,7 +65,9 @@ pub(crate) fn source(path: &Path, flags: &GeometryFlags) -> Result<Source, Field
     if let Some([columns, rows]) = flags.tiles {
         let tile = tile_size(path, "--tiles", size, [columns, rows])?;
         if tile[0] * columns != size[0] || tile[1] * rows != size[1] {
-            let expected = format!("a size that {columns} × {rows} tiles divide");
+            let expected = format!(
+                "a picture whose width is a multiple of {columns} pixels and whose height is a multiple of {rows} pixels"
+            );
             return Err(FieldError::malformed(path, "--tiles", expected, format!("{} × {}", size[0], size[1])));
         }
         let corner = |index: usize| [index % columns * tile[0], index / columns * tile[1]];
@@ -77,7 +79,7 @@ pub(crate) fn source(path: &Path, flags: &GeometryFlags) -> Result<Source, Field
         Some([columns, rows]) => Layout { columns, rows, aspect: named.and_then(|layout| layout.aspect) },
         None => named.ok_or_else(|| FieldError::MissingGeometry {
             path: path.into(),
-            what: "the arrangement of views in this picture",
+            what: "the arrangement of views in the picture",
             flag: "--quilt COLUMNSxROWS (view 0 at the bottom left) or --tiles COLUMNSxROWS (view 0 at the top left), or name the picture NAME_qs8x6a0.75.png",
         })?,
     };

@@ -120,7 +120,7 @@ fn read_part<const N: usize>(
         part.map_err(|error| FieldError::malformed(path, "shape", format!("{expected:?}"), error.to_string()))?;
     if let Some(index) = part.data().iter().position(|value| !(0.0..=1.0).contains(value)) {
         let place = format!("value {index} in row-major order");
-        return Err(FieldError::malformed(path, place, "a number in 0..1", part.data()[index].to_string()));
+        return Err(FieldError::malformed(path, place, "a number from 0 to 1", part.data()[index].to_string()));
     }
     Ok(part)
 }

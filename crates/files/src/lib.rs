@@ -108,7 +108,7 @@ pub fn read_text(path: &Path) -> io::Result<String> {
     let bytes = read_at_most(path, MAX_TEXT_BYTES)?;
     String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
-        io::Error::new(ErrorKind::InvalidData, format!("expected UTF-8 text, found an invalid byte at offset {at}"))
+        io::Error::new(ErrorKind::InvalidData, format!("expected UTF-8 text, found an invalid byte at position {at}"))
     })
 }
 
@@ -140,7 +140,7 @@ impl fmt::Display for Refusal {
         match self {
             Self::Io(error) => error.fmt(f),
             Self::Outside { found, folder } => {
-                write!(f, "it leads to {}, outside of the folder {}", found.display(), folder.display())
+                write!(f, "the path leads to {}, outside of the folder {}", found.display(), folder.display())
             }
         }
     }
@@ -225,7 +225,7 @@ mod tests {
         assert_eq!(error, "expected a regular file, found a folder");
         std::fs::write(&path, b"a\xE9").unwrap();
         let error = read_text(&path).unwrap_err().to_string();
-        assert_eq!(error, "expected UTF-8 text, found an invalid byte at offset 1");
+        assert_eq!(error, "expected UTF-8 text, found an invalid byte at position 1");
     }
 
     /// Without the check before the file is opened, the pipe would block this test for ever, and

@@ -34,7 +34,10 @@ pub(crate) fn plain(path: &Path) -> PathBuf {
 }
 
 fn missing() -> io::Error {
-    io::Error::new(ErrorKind::NotFound, "it is not among the files that were opened; open its folder")
+    io::Error::new(
+        ErrorKind::NotFound,
+        "the file is not among the opened files; open the folder that contains the file",
+    )
 }
 
 pub(crate) fn open(path: &Path) -> io::Result<File> {

@@ -25,6 +25,31 @@ pub(crate) struct Format {
     pub(crate) text: &'static str,
 }
 
+/// Returns the name of a type in glTF.
+fn type_name(kind: Type) -> &'static str {
+    match kind {
+        Type::Scalar => "SCALAR",
+        Type::Vec2 => "VEC2",
+        Type::Vec3 => "VEC3",
+        Type::Vec4 => "VEC4",
+        Type::Mat2 => "MAT2",
+        Type::Mat3 => "MAT3",
+        Type::Mat4 => "MAT4",
+    }
+}
+
+/// Returns the name of a component type in glTF.
+fn component_name(component: ComponentType) -> &'static str {
+    match component {
+        ComponentType::I8 => "BYTE",
+        ComponentType::U8 => "UNSIGNED_BYTE",
+        ComponentType::I16 => "SHORT",
+        ComponentType::U16 => "UNSIGNED_SHORT",
+        ComponentType::U32 => "UNSIGNED_INT",
+        ComponentType::F32 => "FLOAT",
+    }
+}
+
 /// An accessor whose type, count and bounds have been checked.
 pub(crate) struct Accessor<'a> {
     /// JSON pointer to the index that refers to the accessor.
@@ -76,12 +101,16 @@ impl<'a> Accessor<'a> {
         let Checked::Valid(kind) = accessor.type_ else { return Err(invalid("type")) };
         let component = component.0;
         if !(format.types.contains(&kind) && format.components.contains(&component)) {
-            return Err(Fault::new(used_at, format.text, format!("{kind:?} of {component:?} ({place})")));
+            return Err(Fault::new(
+                used_at,
+                format.text,
+                format!("{} of {} ({place})", type_name(kind), component_name(component)),
+            ));
         }
         let count = accessor.count.0;
         let most = if accessor.buffer_view.is_none() { MAX_IMPLICIT_COUNT } else { u64::from(u32::MAX) };
         if count == 0 || count > most {
-            return Err(Fault::new(format!("{place}/count"), format!("a count in 1..{most}"), count));
+            return Err(Fault::new(format!("{place}/count"), format!("a count from 1 to {most}"), count));
         }
         let count = count as usize;
         // Open the dense elements, and the sparse elements that replace some of them.
@@ -118,7 +147,7 @@ impl<'a> Accessor<'a> {
         let draco::Attribute { component, dimensions, ref bytes } = *source;
         let known = format.types.iter().any(|kind| kind.multiplicity() == dimensions);
         if !(known && format.components.contains(&component)) {
-            let found = format!("{dimensions} components of {component:?} in the Draco stream");
+            let found = format!("{dimensions} components of {} in the Draco stream", component_name(component));
             return Err(Fault::new(used_at, format.text, found));
         }
         let size = dimensions * component.size();
@@ -258,25 +287,31 @@ impl<'a> Elements<'a> {
             let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
             let followed = stride > size && needed <= room;
             let message = if followed {
-                format!("expected no stride, found {stride}; {place} is read with this stride")
+                format!(
+                    "expected no stride, which glTF allows only for attributes of vertices, found {stride}; {place} is \
+                     read with the stride {stride}"
+                )
             } else {
-                format!("expected no stride, found {stride}; {place} is read without a stride")
+                format!(
+                    "expected no stride, which glTF allows only for attributes of vertices, found {stride}; {place} is \
+                     read without a stride"
+                )
             };
             document.task.warn(format!("{}/byteStride", view.place), message);
             stride = if followed { stride } else { size };
         }
         if stride < size {
-            let expected = format!("at least {size}, the size of an element of {place}");
+            let expected = format!("at least {size} bytes, the size of an element of {place}");
             return Err(Fault::new(format!("{}/byteStride", view.place), expected, stride));
         }
         // check that all elements are within the view
         let Some(bytes) = usize::try_from(offset).ok().and_then(|offset| view.bytes.get(offset..)) else {
-            let expected = format!("at most {length}, the length of {}", view.place);
+            let expected = format!("at most {length}, the length of {} in bytes", view.place);
             return Err(Fault::new(format!("{place}/byteOffset"), expected, offset));
         };
         let most = if bytes.len() < size { 0 } else { (bytes.len() - size) / stride + 1 };
         if count > most {
-            let expected = format!("at most {most}, the number of elements in {}", view.place);
+            let expected = format!("at most {most}, the number of elements for which {} has room", view.place);
             return Err(Fault::new(count_place, expected, count));
         }
         Ok(Self { bytes, stride, size })
@@ -303,7 +338,7 @@ impl<'a> Sparse<'a> {
         };
         let Some(count) = usize::try_from(sparse.count.0).ok().filter(|&count| count >= 1 && count <= accessor_count)
         else {
-            let expected = format!("a count in 1..{accessor_count}");
+            let expected = format!("a count from 1 to {accessor_count}, the accessor's count");
             return Err(Fault::new(format!("{place}/count"), expected, sparse.count.0));
         };
         // read the indices and the new values, which are in separate views

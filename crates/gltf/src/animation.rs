@@ -140,7 +140,7 @@ fn together(document: &Document<'_>, names: &[Option<&str>]) -> Result<Vec<Vec<C
         if !fresh {
             let list: Vec<String> = names.iter().enumerate().map(|(i, name)| label(i, *name)).collect();
             let message = format!(
-                "two or more animations move the same property of a node; only the first animation of the file is played ({})",
+                "two or more animations move the same property of a node; only the first of the file's animations is played. The animations are {}",
                 list.join(", ")
             );
             document.task.warn("/animations", message);

@@ -65,7 +65,7 @@ pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) ->
 fn left_out(document: &Document<'_>) -> Option<String> {
     let (first, count) = &*document.left_out.borrow();
     let first = first.as_ref()?;
-    Some(if *count > 1 { format!("{first} (primitives left out in all: {count})") } else { first.clone() })
+    Some(if *count > 1 { format!("{first} ({count} primitives are left out in all)") } else { first.clone() })
 }
 
 /// Returns the reason why the scene shows no mesh, as found in the structure of the file.
@@ -74,8 +74,8 @@ fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
     let meshes = root.meshes.len();
     let unseen = match meshes {
         0 => "the file has no meshes".to_owned(),
-        1 => "nothing shows the file's mesh".to_owned(),
-        _ => format!("nothing shows the file's {meshes} meshes"),
+        1 => "no node that is shown has the file's mesh".to_owned(),
+        _ => format!("no node that is shown has one of the file's {meshes} meshes"),
     };
     let listed = match &nodes.scene_place {
         Some(place) => document.json(&format!("{place}/nodes")).and_then(|nodes| nodes.as_array()).map_or(0, Vec::len),
@@ -85,14 +85,14 @@ fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
         return format!("the file has no nodes, and {unseen}");
     }
     if listed == 0 {
-        return format!("the scene lists none of the file's nodes ({}), and {unseen}", root.nodes.len());
+        return format!("the scene lists none of the file's nodes (count: {}), and {unseen}", root.nodes.len());
     }
     if nodes.shown.is_empty() {
         return format!("every node that the scene lists is hidden (KHR_node_visibility), and {unseen}");
     }
     let mut shown = nodes.shown.iter().filter_map(|&node| root.nodes[node].mesh).peekable();
     if shown.peek().is_none() {
-        return format!("none of the scene's visible nodes ({}) has a mesh, and {unseen}", nodes.shown.len());
+        return format!("none of the scene's visible nodes (count: {}) has a mesh, and {unseen}", nodes.shown.len());
     }
     if let Some(mesh) = shown.find(|mesh| root.get(*mesh).is_some_and(|mesh| mesh.primitives.is_empty())) {
         return format!("/meshes/{} has no primitives", mesh.value());

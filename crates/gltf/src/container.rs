@@ -141,6 +141,18 @@ fn syntax_fault(text: &[u8], error: &serde_json::Error) -> Fault {
     Fault::new(format!("line {} column {}", error.line(), error.column()), "valid JSON", format!("an error: {message}"))
 }
 
+/// Replaces names of Rust types in a message of serde by words.
+fn plainly(expected: &str) -> &str {
+    match expected {
+        "f32" | "f64" => "a number",
+        "u32" | "u64" | "usize" => "a whole number ≥ 0",
+        "fewer elements in array" => "a shorter list",
+        "fewer elements in map" => "an object with fewer members",
+        other if other.starts_with("struct ") => "an object",
+        other => other,
+    }
+}
+
 /// Splits the message of serde into the expected and the found part.
 fn structure_fault(place: String, message: &str) -> Fault {
     if let Some(field) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
@@ -148,8 +160,9 @@ fn structure_fault(place: String, message: &str) -> Fault {
     }
     let place = if place.is_empty() { "/".to_owned() } else { place };
     let sentence = message.strip_prefix("invalid type: ").or_else(|| message.strip_prefix("invalid value: "));
+    let sentence = sentence.or_else(|| message.strip_prefix("invalid "));
     match sentence.unwrap_or(message).split_once(", expected ") {
-        Some((found, expected)) => Fault::new(place, expected, found),
+        Some((found, expected)) => Fault::new(place, plainly(expected), found),
         None => Fault::new(place, "the structure of glTF 2.0", message),
     }
 }

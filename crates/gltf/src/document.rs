@@ -100,7 +100,11 @@ impl<'a> Document<'a> {
             Some(item) if written.is_none_or(|written| written == index.value() as u64) => Ok(item),
             _ => {
                 let count = AsRef::<[T]>::as_ref(&self.root).len();
-                Err(Fault::new(place, format!("an index below {count}"), self.quote(place)))
+                let expected = match count {
+                    0 => "no index, since the file has nothing to which the index could refer".to_owned(),
+                    _ => format!("an index below {count}"),
+                };
+                Err(Fault::new(place, expected, self.quote(place)))
             }
         }
     }
@@ -115,7 +119,7 @@ impl<'a> Document<'a> {
             return Err(Fault::new(
                 place,
                 expected,
-                format!("more: this part needs {bytes} bytes in addition to the parts before it"),
+                format!("more: {place} needs {bytes} bytes in addition to the parts that were decoded before"),
             ));
         }
         self.decoded_bytes.set(total);
@@ -130,7 +134,11 @@ impl<'a> Document<'a> {
         if total > self.max_picture_bytes {
             let most = self.max_picture_bytes >> 20;
             let expected = format!("pictures that decode to at most {most} MiB together (the picture budget)");
-            let found = format!("{size}, {} MiB more after {} MiB", bytes.div_ceil(1 << 20), before >> 20);
+            let found = format!(
+                "a picture of {size}, which needs {} MiB in addition to the {} MiB of earlier pictures",
+                bytes.div_ceil(1 << 20),
+                before >> 20
+            );
             return Err(Fault::new(place, expected, found));
         }
         self.picture_bytes.set(total);
@@ -180,7 +188,7 @@ impl<'a> Document<'a> {
         });
         range.ok_or_else(|| {
             let room = (bytes.len() as u64).saturating_sub(offset);
-            let expected = format!("at most {room} bytes, which buffer {} has from byteOffset on", buffer.value());
+            let expected = format!("at most {room} bytes, which buffer {} has after byteOffset", buffer.value());
             Fault::new(format!("{place}/byteLength"), expected, length)
         })
     }
@@ -207,7 +215,7 @@ impl<'a> Document<'a> {
         // the binary chunk is padded, and a file may be longer than its buffer, so use only the
         // buffer's own length
         usize::try_from(buffer.byte_length.0).ok().and_then(|length| bytes.get(..length)).ok_or_else(|| {
-            let expected = format!("at most {} bytes, which the buffer's data has", bytes.len());
+            let expected = format!("at most {} bytes, the length of the buffer's data", bytes.len());
             Fault::new(format!("{place}/byteLength"), expected, buffer.byte_length.0)
         })
     }

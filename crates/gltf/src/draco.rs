@@ -60,7 +60,7 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
     let broken = |found: String| Fault::new(&stream_place, "a sound Draco mesh", found);
     document.spend(&stream_place, triangles.len(), size_of::<[u32; 3]>())?;
     if triangles.as_flattened().iter().any(|&corner| corner as usize >= vertices) {
-        return Err(broken(format!("a corner past its {vertices} vertices")));
+        return Err(broken(format!("a corner whose index is not below {vertices}, the number of vertices")));
     }
     // check the decoded attributes, and store them by name
     let mut attributes = HashMap::new();
@@ -68,7 +68,7 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
         let place = fields.place(&format!("attributes/{name}"));
         let source = known.and_then(|id| unpacked[wanted.binary_search(&id).ok()?].as_ref());
         let Some(unpack::Attribute { component, dimensions, elements }) = source else {
-            return Err(Fault::new(place, "an attribute of the Draco stream", id));
+            return Err(Fault::new(place, "the id of an attribute of the Draco stream", id));
         };
         let component = component.clone().map_err(|name| Fault::new(&place, "a component type of glTF", name))?;
         document.spend(&place, vertices, dimensions * component.size())?;

@@ -54,7 +54,10 @@ const EXTENSIONS: [(&str, Handling); 37] = [
     ("KHR_audio_emitter", NotRead("")),
     ("KHR_materials_diffuse_transmission", NotRead("")),
     ("KHR_materials_volume_scatter", NotRead("")),
-    ("KHR_techniques_webgl", NotRead("; its shaders say nothing about light: export metallic-roughness materials")),
+    (
+        "KHR_techniques_webgl",
+        NotRead("; its shaders do not describe how surfaces reflect light: export metallic-roughness materials"),
+    ),
     ("MSFT_texture_dds", NotRead("; `gltf-transform png IN OUT` writes pictures that can be read")),
 ];
 

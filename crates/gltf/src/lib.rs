@@ -42,7 +42,7 @@
 //! let text = br#"{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}]}"#;
 //! let task = Task::quiet(&warnings, &cancel);
 //! let error = lumistack_gltf::load("a.gltf", text, &resolver, task).unwrap_err();
-//! assert_eq!(error.to_string(), "a.gltf: /nodes/0/mesh: expected an index below 0, found 0");
+//! assert_eq!(error.to_string(), "a.gltf: /nodes/0/mesh: expected no index, since the file has nothing to which the index could refer, found 0");
 //! ```
 
 // the example of README.md is a test

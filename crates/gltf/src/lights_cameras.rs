@@ -36,7 +36,7 @@ pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light
         let intensity = Vec3::from(source.color) * source.intensity;
         if !(intensity.is_finite() && intensity.min_element() >= 0.0) {
             let found = format!("colour {:?} and intensity {}", source.color, source.intensity);
-            return Err(Fault::new(place, "a finite colour and intensity ≥ 0", found));
+            return Err(Fault::new(place, "a colour and an intensity that are finite and ≥ 0", found));
         }
         // a light shines along −z of its node
         let placement = &nodes.scene_from_node[node];
@@ -46,7 +46,7 @@ pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light
             (None, _) => {
                 document.task.warn(
                     format!("/nodes/{node}"),
-                    "the light is left out, since with a scale of zero it has no direction",
+                    "the node has a scale of zero, so the light has no direction and is left out",
                 );
                 continue;
             }
@@ -66,7 +66,7 @@ fn light_kind(document: &Document<'_>, source: &Source, place: &str) -> Result<L
             let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);
             if !(outer > 0.0 && outer <= FRAC_PI_2 && inner >= 0.0 && inner <= outer) {
                 let expected = "0 ≤ innerConeAngle ≤ outerConeAngle and 0 < outerConeAngle ≤ π/2";
-                return Err(Fault::new(place, expected, format!("{inner} and {outer}")));
+                return Err(Fault::new(place, expected, format!("innerConeAngle {inner} and outerConeAngle {outer}")));
             }
             Ok(LightKind::Spot { inner_cone_rad: inner, outer_cone_rad: outer })
         }
@@ -170,7 +170,7 @@ pub(crate) fn environment(
     let known = ["image", "strength", "rotation"];
     let object = environment.as_object();
     if object.is_none_or(|object| object.keys().any(|key| !known.contains(&key.as_str()))) {
-        let expected = format!("an object with {}", known.join(", "));
+        let expected = format!("an object with no members but {}", known.join(", "));
         return Err(Fault::new(place, expected, quote(Some(environment))));
     }
     // read the picture, the factor and the rotation

@@ -148,8 +148,11 @@ fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2]
     }
     if used.len() > 2 {
         let message = format!(
-            "expected at most two sets of texture coordinates, found {used:?}; textures that use another set than the \
-             first two get set {}",
+            "expected at most two sets of texture coordinates, found {} sets; textures that use another set than \
+             TEXCOORD_{} and TEXCOORD_{} get TEXCOORD_{}",
+            used.len(),
+            used[0],
+            used[1],
             used[0]
         );
         task.warn(place, message);

@@ -76,7 +76,8 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         return Err(Fault::new(place, "a primitive mode (0 to 6)", found));
     };
     if matches!(mode, Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
-        document.leave_out(place, format!("a primitive of mode {mode:?} has no surface and is left out"));
+        let kind = if mode == Mode::Points { "points" } else { "lines" };
+        document.leave_out(place, format!("a primitive of {kind} has no surface and is left out"));
         return Ok(None);
     }
     let decoded = draco::decode(document, place)?;
@@ -279,7 +280,7 @@ fn mend_tangents(document: &Document<'_>, mesh: &mut Mesh) {
         })
         .collect();
     mesh.tangents = mended.unwrap_or_else(|| {
-        document.task.warn(&mesh.place, "some tangents have no direction; all are left out and generated where needed");
+        document.task.warn(&mesh.place, "some tangents have no direction; all tangents of the primitive are replaced by generated ones where a material needs them");
         Vec::new()
     });
 }

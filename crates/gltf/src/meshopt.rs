@@ -52,15 +52,15 @@ impl<'d> Packed<'d> {
         let offset = fields.count("byteOffset")?.unwrap_or_default();
         let source = document.range(fields.needed_index("buffer")?, offset, length, fields.here())?;
         if count.checked_mul(stride) != Some(self.unpacked_bytes) {
-            let expected = format!("count × byteStride equal to the view's byteLength, {}", self.unpacked_bytes);
+            let expected = format!("count × byteStride to be {}, the view's byteLength", self.unpacked_bytes);
             return Err(Fault::new(fields.place("count"), expected, format!("{count} × {stride}")));
         }
-        if self.stride.is_some_and(|own| own as u64 != stride) {
-            return Err(Fault::new(fields.place("byteStride"), "the view's byteStride", stride));
+        if let Some(own) = self.stride.filter(|&own| own as u64 != stride) {
+            return Err(Fault::new(fields.place("byteStride"), format!("{own}, the view's byteStride"), stride));
         }
         let most = (length.saturating_mul(MAX_RATIO)).min(MAX_VIEW_BYTES);
         if self.unpacked_bytes > most {
-            let expected = format!("at most {most} bytes, which {length} packed bytes can hold");
+            let expected = format!("at most {most} unpacked bytes, since there are {length} packed bytes");
             return Err(Fault::new(fields.place("count"), expected, self.unpacked_bytes));
         }
         let (count, stride) = (count as usize, stride as usize);

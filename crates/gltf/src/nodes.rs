@@ -119,12 +119,12 @@ fn adopt(
     }
     path.into_iter().for_each(|ancestor| known[ancestor] = Some(shown));
     if shown {
-        document.task.warn(place, format!("{found}; the node stays a child of this parent"));
+        document.task.warn(place, format!("{found}; node {node} stays a child of node {parent}"));
         return false;
     }
     document
         .task
-        .warn(place, format!("{found}, which the scene does not show; the child is shown without this parent"));
+        .warn(place, format!("{found}, which the scene does not show; node {node} is shown without its parent"));
     parents[node] = None;
     true
 }
@@ -146,7 +146,7 @@ fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
                     let found = format!("node {}, which is a child of node {first}", child.value());
                     document.task.warn(
                         place,
-                        format!("expected a node without another parent, found {found}; the node keeps that parent"),
+                        format!("expected a node without another parent, found {found}; the node stays a child of node {first}"),
                     );
                 }
             }

@@ -64,13 +64,15 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
             let found = other.map_or_else(|| "none".to_owned(), |name| format!("`{name}`"));
             document
                 .task
-                .warn(&here, format!("expected a known colorSpace, found {found}; srgb_rec709_display is used"));
+                .warn(&here, format!("expected the colorSpace srgb_rec709_display or lin_rec709_display, found {found}; srgb_rec709_display is used"));
             Encoding::Srgb
         }
     };
     for (key, known) in [("kernel", "ellipse"), ("projection", "perspective"), ("sortingMethod", "cameraDistance")] {
         if let Some(found) = text(key).filter(|found| *found != known) {
-            document.task.warn(format!("{here}/{key}"), format!("`{found}` is not known and is taken for `{known}`"));
+            document
+                .task
+                .warn(format!("{here}/{key}"), format!("expected `{known}`, found `{found}`; `{known}` is used"));
         }
     }
     if let Some(packed) = Fields::at(document, format!("{here}/extensions/{SPZ}"))? {

@@ -34,7 +34,7 @@ pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
         Packed::Capture(bytes, ref beside) => splats(read::read(bytes, &|name: &str| {
             let plain = name.strip_prefix("./").unwrap_or(name);
             let found = beside.iter().find(|(name, _)| *name == plain);
-            let missing = "it is not among the files that were opened; open its folder";
+            let missing = "the file is not among the opened files; open the folder that contains the file";
             found.map(|(_, bytes)| bytes.to_vec()).ok_or_else(|| missing.to_owned())
         })),
     };
@@ -88,7 +88,7 @@ mod tests {
         let packed = Packed::Size(Use::Texture, b"");
         let stopped = contained::<()>(&packed, || panic!("as a library might")).unwrap_err();
         assert_eq!((stopped.place.as_str(), stopped.expected.as_str()), ("", "a sound picture"));
-        assert_eq!(stopped.found, "bytes on which its decoder stops");
+        assert_eq!(stopped.found, "data at which the decoder stops");
         assert_eq!(contained(&packed, || Ok(3)), Ok(3));
     }
 

@@ -48,7 +48,7 @@ impl Clamped {
         let kept: f64 = pixels.map(|rgb| f64::from(luminance(rgb))).sum();
         let kept = kept * f64::from(settings.samples);
         Some(format!(
-            "the clamp limit {limit} dims {samples} of {all} samples, which removes {:.3} % of the light",
+            "the limit of clamp, {limit}, dims {samples} of {all} samples, which removes {:.3} % of the light",
             100.0 * removed / (removed + kept)
         ))
     }

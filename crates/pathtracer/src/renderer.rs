@@ -120,7 +120,7 @@ pub enum RenderError {
     #[error(transparent)]
     Geometry(#[from] GridError),
     /// The view is not in the grid.
-    #[error("view: expected a row smaller than {} and a column smaller than {}, found row {} and column {}", .views[0], .views[1], .view[0], .view[1])]
+    #[error("view: expected a row below {} and a column below {}, found row {} and column {}", .views[0], .views[1], .view[0], .view[1])]
     View {
         /// Number of views, [vertical, horizontal].
         views: [usize; 2],
@@ -187,7 +187,7 @@ impl Renderer {
         if lights.is_dark() {
             task.warn(
                 &scene.name,
-                "nothing in the scene emits light, so every view is black: add a light or an environment to the scene, or let the studio light be added (in a job `light.automatic = true`, in Rust `lumistack_shot::light::lit`)",
+                "nothing in the scene emits light, so every view is black. Add a light or an environment to the scene, or let Lumistack add the studio light (in a job `light.automatic = true`, in Rust `lumistack_shot::light::lit`)",
             );
         }
         let memory = Memory {
@@ -286,7 +286,7 @@ impl Renderer {
             let all = settings.samples as usize * geometry.rows * geometry.cols;
             task.warn(
                 format!("view {},{}", view[0], view[1]),
-                format!("samples that are not finite numbers are left out: {lost} of {all}"),
+                format!("samples that are left out, since they are not finite numbers: {lost} of {all}"),
             );
         }
         if let Some(message) = clamped.message(settings, filled.data().chunks_exact(K).map(radiance)) {

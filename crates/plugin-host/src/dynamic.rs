@@ -214,7 +214,7 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
         // file's name `lumistack_plugin_<name>`.
         Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(vec![name]),
         Ok(_) => {}
-        Err(_) => return Err(other("a file that is not a library".into())),
+        Err(_) => return Err(other("a file of another kind".into())),
     }
     let library = match object::File::parse(&data) {
         Ok(library) => library,
@@ -229,7 +229,7 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     }
     let kind = library.kind();
     if kind != ObjectKind::Dynamic {
-        return Err(other(format!("an object file that is not a shared library ({kind:?})").to_lowercase()));
+        return Err(other("an object file of another kind".into()));
     }
     // The names of the exported entry functions end with the ids.
     let exports = library.exports().map_err(|error| other(format!("a damaged library: {error}")))?;

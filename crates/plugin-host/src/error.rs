@@ -75,7 +75,7 @@ pub enum HostError {
         reason: String,
     },
     /// The plugin finished while files were incomplete.
-    #[error("output `{plugin}` finished without completing {}", files.join(", "))]
+    #[error("output `{plugin}` finished, but did not complete the files {}", files.join(", "))]
     Uncommitted {
         /// The plugin's id.
         plugin: String,
@@ -86,7 +86,7 @@ pub enum HostError {
     #[error("cancelled")]
     Cancelled,
     /// The output's path cannot be a folder.
-    #[error("{}: expected a folder or a free name for one, found {found}", path.display())]
+    #[error("{}: expected a folder, or a name for a new folder, found {found}", path.display())]
     NotAFolder {
         /// The path where the output's folder should be.
         path: PathBuf,
@@ -117,7 +117,7 @@ pub enum LoadError {
         source: io::Error,
     },
     /// A folder that the user named contains no plugin library.
-    #[error("{}: expected files named `{expected}`, found none: `cargo build --release` writes a plugin's library to `target/release`", path.display())]
+    #[error("{}: expected files named like `{expected}`, found none: `cargo build --release` writes a plugin's library to `target/release`", path.display())]
     NoLibraries {
         /// The folder.
         path: PathBuf,
@@ -125,7 +125,7 @@ pub enum LoadError {
         expected: String,
     },
     /// The file does not have the name of a plugin library.
-    #[error("{}: expected a file named `{expected}`", path.display())]
+    #[error("{}: expected a file named like `{expected}`, found another name", path.display())]
     Name {
         /// The path of the file.
         path: PathBuf,
@@ -141,7 +141,7 @@ pub enum LoadError {
         found: String,
     },
     /// The library is for another machine.
-    #[error("{}: expected a library for {expected}, found one for {found}", path.display())]
+    #[error("{}: expected a library for {expected}, found a library for {found}", path.display())]
     Machine {
         /// The path of the file.
         path: PathBuf,
@@ -159,7 +159,7 @@ pub enum LoadError {
         reason: String,
     },
     /// The entry function is missing.
-    #[error("{}: expected the function `{symbol}`, found none of that name", path.display())]
+    #[error("{}: expected the exported function `{symbol}`, found no function of that name", path.display())]
     NoEntry {
         /// The path of the file.
         path: PathBuf,
@@ -193,7 +193,7 @@ pub enum LoadError {
         cause: String,
     },
     /// The program has set no launcher of plugin processes.
-    #[error("{}: cannot start a process for this library: the program has set no launcher", path.display())]
+    #[error("{}: expected a program with a launcher, which starts a process for a plugin's library, found a program without a launcher", path.display())]
     NoLauncher {
         /// The path of the file.
         path: PathBuf,

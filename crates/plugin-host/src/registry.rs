@@ -125,7 +125,8 @@ impl Registry {
         let plugin = self.get_kind(id, PluginKind::Output)?;
         if plugin.info().presents != presents {
             let does = |presents| if presents { "drives panels (for `lumistack show`)" } else { "writes files" };
-            let reason = format!("expected an output that {}, found one that {}", does(presents), does(!presents));
+            let reason =
+                format!("expected an output that {}, found an output that {}", does(presents), does(!presents));
             return Err(HostError::of_plugin(PluginKind::Output, id, PluginError::Refused(reason)));
         }
         Ok(plugin)

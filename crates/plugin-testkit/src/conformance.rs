@@ -9,7 +9,9 @@ use serde_json::{Map, Value, json};
 
 use crate::makers;
 use crate::memory_host::MemoryHost;
-use crate::rules::{Broken, allowed, bad_parameters_are_refused, closed, defaults_and_ends, require, rule, varied};
+use crate::rules::{
+    Broken, allowed, bad_parameters_are_refused, closed, defaults_and_ends, in_words, require, rule, varied,
+};
 use crate::samples::{Sample, samples};
 
 type Files = BTreeMap<String, Vec<u8>>;
@@ -59,7 +61,7 @@ pub fn conformance_of(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
     }?;
     let added: Vec<String> = listing().difference(&surroundings).cloned().collect();
     require("files are written only through the host", added.is_empty(), || {
-        format!("new in the working directory: {added:?}")
+        format!("new files in the working directory: {}", added.join(", "))
     })
 }
 
@@ -75,7 +77,9 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
         }
         _ => true,
     });
-    require("accepts at least one sample of its ports", !samples.is_empty(), || format!("{reasons:?}"))?;
+    require("accepts at least one sample of its ports", !samples.is_empty(), || {
+        format!("the plugin refused every sample: {}", reasons.join("; "))
+    })?;
     for sample in &samples {
         defaults_work(plugin, sample)?;
         for params in [Some(json!({})), everything(plugin, sample, at_default)].into_iter().flatten() {
@@ -101,7 +105,7 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
 pub fn same_outputs(plugin: &Plugin, other: &Plugin, at_default: &[&str]) -> Result<usize, Broken> {
     let description = |plugin: &Plugin| serde_json::to_value(plugin.info()).unwrap_or_default();
     require("both builds describe themselves alike", description(plugin) == description(other), || {
-        format!("{}\n{}", description(plugin), description(other))
+        format!("the descriptions\n{}\nand\n{}", description(plugin), description(other))
     })?;
     if plugin.info().kind != PluginKind::Output {
         let mut all = defaults_and_ends(plugin, at_default);
@@ -116,8 +120,13 @@ pub fn same_outputs(plugin: &Plugin, other: &Plugin, at_default: &[&str]) -> Res
         };
         let (a, b) = (outcome(plugin), outcome(other));
         require("writes the same bytes", a == b, || match (&a, &b) {
-            (Ok(a), Ok(b)) => format!("{params}, {}: {}", sample.name, difference(b, a)),
-            _ => format!("{params}, {}: {:?}, {:?}", sample.name, a.as_ref().err(), b.as_ref().err()),
+            (Ok(a), Ok(b)) => format!("with {params} and the sample `{}`: {}", sample.name, difference(b, a)),
+            _ => format!(
+                "with {params} and the sample `{}`, the first build: {}; the second build: {}",
+                sample.name,
+                in_words(&a),
+                in_words(&b)
+            ),
         })?;
         Ok(a.map_or(0, |files| files.len()))
     };
@@ -138,9 +147,9 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
     let info = plugin.info();
     let version: Vec<&str> = info.version.split('.').collect();
     let numbers = version.len() == 3 && version[..2].iter().all(|part| part.parse::<u64>().is_ok());
-    require("version is major.minor.patch", numbers, || info.version.clone())?;
+    require("version is major.minor.patch", numbers, || format!("the version {}", info.version))?;
     require("describes itself in sentences", info.doc.trim().ends_with('.'), || {
-        format!("expected a doc that ends with a full stop, found {:?}", info.doc)
+        format!("a `doc` that does not end with a full stop: {}", info.doc)
     })?;
     for param in &info.schema.params {
         let named = param.unit.as_ref().is_some_and(|unit| !unit.trim().is_empty());
@@ -149,7 +158,7 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
             Kind::Float { min, max, .. } => (min < max && min.is_finite() && max.is_finite(), named),
             _ => (true, true),
         };
-        let expected = || format!("`{}` takes {}", param.name, param.expected());
+        let expected = || format!("the parameter `{}`, which takes {}", param.name, param.expected());
         require("numbers have a range", ranged, expected)?;
         require("numbers have a unit (`1` for a plain number)", unit, expected)?;
     }
@@ -219,18 +228,22 @@ fn stops_when_asked(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<
     host.cancel();
     let result = write(plugin, &host, params, sample);
     require("returns `cancelled` if cancelled before it begins", result == Err(PluginError::Cancelled), || {
-        format!("{result:?}")
+        in_words(&result)
     })?;
-    closed(&host, "cancelled before")?;
+    closed(&host, "after a cancellation before the begin")?;
     let appends = appends(plugin, sample, params);
     if appends > 1 {
         let host = MemoryHost::cancelled_at(0);
         let result = write(plugin, &host, params, sample);
         let prompt = result == Err(PluginError::Cancelled) || host.opened_after_cancel() == 0;
         require("opens no further file after cancellation", prompt, || {
-            format!("{} files, {result:?}", host.opened_after_cancel())
+            format!(
+                "files that were opened after the cancellation: {}; {}",
+                host.opened_after_cancel(),
+                in_words(&result)
+            )
         })?;
-        closed(&host, "cancelled midway")?;
+        closed(&host, "after a cancellation midway")?;
     }
     Ok(())
 }
@@ -242,8 +255,10 @@ fn reports_failing_host(plugin: &Plugin, sample: &Sample, params: &Value) -> Res
         let host = MemoryHost::failing_at(append);
         let result = write(plugin, &host, params, sample);
         let description = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no space left"));
-        require("reports why the host cannot write", description, || format!("append {append}: {result:?}"))?;
-        closed(&host, "the disk was full")?;
+        require("reports why the host cannot write", description, || {
+            format!("when the host could not write append {append}, {}", in_words(&result))
+        })?;
+        closed(&host, "after the disk was full")?;
     }
     Ok(())
 }
@@ -255,11 +270,15 @@ fn parameters_in_range_work(plugin: &Plugin, sample: &Sample, at_default: &[&str
         match write(plugin, &host, &params, sample) {
             // A plugin may refuse a value with a reason, since the value may contradict other
             // parameters.
-            Ok(()) | Err(PluginError::Refused(_)) => closed(&host, &name)?,
+            Ok(()) | Err(PluginError::Refused(_)) => closed(&host, &format!("with {name} = {value}"))?,
             Err(error) => {
                 return Err(Broken {
                     rule: "works with every parameter in its range",
-                    found: format!("{name} = {value}, {}: {error:?}", sample.name),
+                    found: format!(
+                        "with {name} = {value} and the sample `{}`, {}",
+                        sample.name,
+                        in_words::<()>(&Err(error))
+                    ),
                 });
             }
         }
@@ -280,14 +299,14 @@ fn can_be_abandoned(plugin: &Plugin, sample: Option<&Sample>) -> Result<(), Brok
     let output = rule("opens", Output::open(plugin, &host, &json!({}), &sample.display))?;
     rule("submits", output.submit(Time::default(), sample.data()))?;
     drop(output);
-    closed(&host, "it was abandoned")?;
+    closed(&host, "after the output was abandoned")?;
     let host = MemoryHost::new();
     let output = rule("opens", Output::open(plugin, &host, &json!({}), &sample.display))?;
     let result = output.finish();
     require("does not panic when nothing was submitted", !matches!(result, Err(PluginError::Panicked(_))), || {
-        format!("{result:?}")
+        in_words(&result)
     })?;
-    closed(&host, "nothing was submitted")
+    closed(&host, "after nothing was submitted")
 }
 
 /// Writes one still, from open to finish.
@@ -309,7 +328,13 @@ fn difference(found: &Files, expected: &Files) -> String {
     let names = |files: &Files| files.keys().cloned().collect::<BTreeSet<_>>();
     let unequal: Vec<_> =
         expected.iter().filter(|(name, bytes)| found.get(*name) != Some(bytes)).map(|e| e.0).collect();
-    format!("found the files {:?}, expected {:?}; missing or different: {unequal:?}", names(found), names(expected))
+    let list = |names: BTreeSet<String>| names.into_iter().collect::<Vec<_>>().join(", ");
+    format!(
+        "the files {}, but another call wrote {}; missing or different files: {}",
+        list(names(found)),
+        list(names(expected)),
+        list(unequal.into_iter().cloned().collect())
+    )
 }
 
 fn listing() -> BTreeSet<String> {

@@ -12,7 +12,7 @@ use lumistack_plugin_host::serve::{
 use serde_json::{Value, json};
 
 use crate::memory_host::MemoryHost;
-use crate::rules::{Broken, bad_parameters_are_refused, closed, defaults_and_ends, require, rule};
+use crate::rules::{Broken, bad_parameters_are_refused, closed, defaults_and_ends, in_words, require, rule};
 
 type Made<T> = Result<T, PluginError>;
 
@@ -110,32 +110,35 @@ fn maker_conformance<T: PartialEq>(
             Ok(made) => served.push((display, made)),
             Err(PluginError::Refused(reason)) if !reason.is_empty() => {}
             Err(error) => {
-                let found = format!("{} layers: {error:?}", display.layers.len());
+                let found =
+                    format!("with a display of {} layers, {}", display.layers.len(), in_words::<()>(&Err(error)));
                 return Err(Broken { rule: "accepts a display or refuses it with a reason", found });
             }
         }
-        closed(&host, "default parameters")?;
+        closed(&host, "with default parameters")?;
         let written = host.files();
-        require("writes no files", written.is_empty(), || format!("{:?}", written.keys()))?;
+        require("writes no files", written.is_empty(), || {
+            format!("the files {}", written.keys().cloned().collect::<Vec<_>>().join(", "))
+        })?;
     }
-    require("accepts at least one display", !served.is_empty(), || "it refuses every one".into())?;
+    require("accepts at least one display", !served.is_empty(), || "the plugin refuses every display".into())?;
     // Check reproducibility, cancellation and all parameter ranges on every supported display.
     for (display, made) in &served {
         let again = rule("works twice", make(plugin, &MemoryHost::new(), &defaults, display))?;
-        require("results are reproducible", again == *made, || format!("{} layers", display.layers.len()))?;
+        require("results are reproducible", again == *made, || {
+            format!("different results for a display of {} layers", display.layers.len())
+        })?;
         let host = MemoryHost::new();
         host.cancel();
         let result = make(plugin, &host, &defaults, display);
         let stopped = matches!(&result, Err(PluginError::Cancelled));
-        require("returns `cancelled` if cancelled before it begins", stopped, || {
-            format!("{:?}", result.as_ref().err())
-        })?;
-        closed(&host, "cancelled before")?;
+        require("returns `cancelled` if cancelled before it begins", stopped, || in_words(&result))?;
+        closed(&host, "after a cancellation before the begin")?;
         for params in defaults_and_ends(plugin, at_default) {
             let result = resolved(plugin, &params).and_then(|p| make(plugin, &MemoryHost::new(), &p, display));
             let fine = matches!(&result, Ok(_) | Err(PluginError::Refused(_)));
             require("works with every parameter in its range", fine, || {
-                format!("{params}: {:?}", result.as_ref().err())
+                format!("with {params}, {}", in_words(&result))
             })?;
         }
     }
@@ -157,13 +160,13 @@ pub(crate) fn importer_conformance(plugin: &Plugin) -> Result<(), Broken> {
         let host = MemoryHost::new();
         let result = import(plugin, &host, &defaults, &file, &|_| Ok(bytes.clone()));
         let contained = !matches!(result, Err(PluginError::Panicked(_)));
-        require("does not panic on files of another kind", contained, || format!("{:?}", result.as_ref().err()))?;
-        closed(&host, "a file of another kind")?;
+        require("does not panic on files of another kind", contained, || in_words(&result))?;
+        closed(&host, "after a file of another kind")?;
     }
     let missing = |_: &str| Err(PluginError::Failed("no such file".into()));
     let result = import(plugin, &MemoryHost::new(), &defaults, &file, &missing);
     let reported = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no such file"));
-    require("reports why a file cannot be read", reported, || format!("{result:?}"))?;
+    require("reports why a file cannot be read", reported, || in_words(&result))?;
     bad_parameters_are_refused(plugin, |params| {
         import(plugin, &MemoryHost::new(), params, &file, &|_| Ok(Vec::new())).err()
     })
@@ -185,16 +188,16 @@ pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) 
         let params = rule("works with every parameter in its range", resolved(plugin, &params))?;
         let made = rule("reads the sample", import(plugin, &MemoryHost::new(), &params, file, &read))?;
         let gltf = made.starts_with(b"glTF\x02\0\0\0") || serde_json::from_slice::<Value>(&made).is_ok();
-        require("makes a glTF document", gltf, || format!("{} bytes", made.len()))?;
+        require("makes a glTF document", gltf, || format!("{} bytes of another kind", made.len()))?;
         let again = rule("works twice", import(plugin, &MemoryHost::new(), &params, file, &read))?;
-        require("results are reproducible", again == made, || params.clone())?;
+        require("results are reproducible", again == made, || format!("different results with {params}"))?;
     }
     let defaults = rule("has default parameters", resolved(plugin, &json!({})))?;
     let host = MemoryHost::new();
     host.cancel();
     let result = import(plugin, &host, &defaults, file, &read);
     require("returns `cancelled` if cancelled before it begins", result == Err(PluginError::Cancelled), || {
-        format!("{:?}", result.as_ref().err())
+        in_words(&result)
     })?;
     // Truncated files must not cause a panic.
     let whole = rule("reads the sample", read(file))?;
@@ -203,7 +206,7 @@ pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) 
         let result = import(plugin, &MemoryHost::new(), &defaults, file, &short);
         let contained = !matches!(result, Err(PluginError::Panicked(_)));
         require("does not panic on files that are cut short", contained, || {
-            format!("{length} of {} bytes: {:?}", whole.len(), result.as_ref().err())
+            format!("with {length} of {} bytes, {}", whole.len(), in_words(&result))
         })?;
     }
     Ok(())
@@ -228,13 +231,17 @@ pub(crate) fn same(plugin: &Plugin, other: &Plugin, params: &Value) -> Result<us
             }
             PluginKind::Importer | PluginKind::Output => true,
         };
-        require("results are equal", equal, || format!("{params}, {} layers", display.layers.len()))?;
+        require("results are equal", equal, || {
+            format!("different results with {params} for a display of {} layers", display.layers.len())
+        })?;
     }
     if plugin.info().kind == PluginKind::Importer {
         let file = format!("a.{}", plugin.info().extensions[0]);
         for bytes in garbage() {
             let of = |plugin| import(plugin, &MemoryHost::new(), &params, &file, &|_| Ok(bytes.clone()));
-            require("results are equal", of(plugin) == of(other), || format!("{params}, {} bytes", bytes.len()))?;
+            require("results are equal", of(plugin) == of(other), || {
+                format!("different results with {params} for a file of {} bytes", bytes.len())
+            })?;
             count += 1;
         }
     }

@@ -9,7 +9,7 @@ use crate::memory_host::MemoryHost;
 
 /// A rule of the plugin interface that a plugin violates.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error("{rule}: {found}")]
+#[error("expected a plugin that keeps the rule \"{rule}\", found: {found}")]
 pub struct Broken {
     /// The violated rule.
     pub rule: &'static str,
@@ -36,9 +36,13 @@ pub(crate) fn bad_parameters_are_refused(
         let given = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
         let result = refusal(&given.to_string());
         let named = matches!(&result, Some(PluginError::Refused(text)) if text.contains(&name));
-        require("names the parameter when it refuses a bad value", named, || format!("{given}: {result:?}"))?;
+        require("names the parameter when it refuses a bad value", named, || {
+            let done = result
+                .map_or_else(|| "the plugin accepted the parameters".to_owned(), |error| in_words::<()>(&Err(error)));
+            format!("with {given}, {done}")
+        })?;
     }
-    require("refuses what is not JSON", refusal("{").is_some(), || "accepted `{`".into())
+    require("refuses what is not JSON", refusal("{").is_some(), || "the plugin accepted the parameters `{`".into())
 }
 
 pub(crate) fn varied<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = &'a Param> {
@@ -77,12 +81,27 @@ fn forbidden(param: &Param) -> Vec<(String, Value)> {
 
 pub(crate) fn closed(host: &MemoryHost, when: &str) -> Result<(), Broken> {
     let (stages, open) = host.stages();
-    require("no file stays open", host.open_files().is_empty(), || format!("{when}: {:?}", host.open_files()))?;
-    require("every stage of progress ends", open == 0, || format!("{when}: {open} of {stages:?} did not"))
+    require("no file stays open", host.open_files().is_empty(), || {
+        format!("{when}: these files stayed open: {}", host.open_files().join(", "))
+    })?;
+    require("every stage of progress ends", open == 0, || {
+        format!("{when}: {open} stages of progress did not end; these stages began: {}", stages.join(", "))
+    })
+}
+
+/// Describes the result of a call for messages.
+pub(crate) fn in_words<T>(result: &Result<T, PluginError>) -> String {
+    match result {
+        Ok(_) => "the plugin succeeded".into(),
+        Err(PluginError::Cancelled) => "the plugin returned `cancelled`".into(),
+        Err(PluginError::Refused(reason)) => format!("the plugin refused: {reason}"),
+        Err(PluginError::Failed(reason)) => format!("the plugin failed: {reason}"),
+        Err(PluginError::Panicked(reason)) => format!("the plugin panicked: {reason}"),
+    }
 }
 
 pub(crate) fn rule<T>(rule: &'static str, result: Result<T, PluginError>) -> Result<T, Broken> {
-    result.map_err(|error| Broken { rule, found: format!("{error:?}") })
+    result.map_err(|error| Broken { rule, found: in_words::<()>(&Err(error)) })
 }
 
 pub(crate) fn require(rule: &'static str, holds: bool, found: impl FnOnce() -> String) -> Result<(), Broken> {

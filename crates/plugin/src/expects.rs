@@ -26,7 +26,11 @@ pub fn layers(display: &Display, count: usize) -> Result<(), PluginError> {
 pub fn attenuating(display: &Display) -> Result<(), PluginError> {
     match display.formation {
         Formation::Attenuating => Ok(()),
-        other => Err(PluginError::display(display, "the formation attenuating", format!("{other:?}").to_lowercase())),
+        other => Err(PluginError::display(
+            display,
+            "the formation `attenuating`",
+            format!("the formation `{}`", format!("{other:?}").to_lowercase()),
+        )),
     }
 }
 
@@ -62,12 +66,12 @@ pub fn same_pixels(display: &Display) -> Result<(), PluginError> {
     let geometry = display.geometry().map_err(|error| PluginError::Refused(error.to_string()))?;
     let wanted = ([geometry.cols, geometry.rows], geometry.pitch_mm, [0.0; 2]);
     let text = |([cols, rows], pitch_mm, [x, y]): ([usize; 2], f64, [f64; 2])| {
-        format!("{cols} × {rows} pixels of {pitch_mm} mm with an offset of {x}, {y} mm")
+        format!("{cols} × {rows} pixels of {pitch_mm} mm and an offset of {x}, {y} mm")
     };
     for (number, layer) in display.layers.iter().enumerate() {
         let found = (layer.resolution, layer.pitch_mm, layer.offset_mm);
         if found != wanted {
-            let expected = format!("layers with the light field's {}", text(wanted));
+            let expected = format!("layers with the pixels of the light field ({})", text(wanted));
             return Err(PluginError::display(display, expected, format!("layer {number} with {}", text(found))));
         }
     }
@@ -90,13 +94,13 @@ mod tests {
         assert_eq!(lenslets(&display).err(), Some(refused(expected)));
         display.layers[1].resolution = [4, 3];
         display.layers[1].pitch_mm = 2.0;
-        let expected = "display `bench`: expected layers with the light field's 8 × 6 pixels of 1 mm with an offset of 0, 0 mm, \
-                        found layer 1 with 4 × 3 pixels of 2 mm with an offset of 0, 0 mm";
+        let expected = "display `bench`: expected layers with the pixels of the light field (8 × 6 pixels of 1 mm and an offset of 0, 0 mm), \
+                        found layer 1 with 4 × 3 pixels of 2 mm and an offset of 0, 0 mm";
         assert_eq!(same_pixels(&display), Err(refused(expected)));
         display.formation = Formation::Additive;
         assert_eq!(
             attenuating(&display),
-            Err(refused("display `bench`: expected the formation attenuating, found additive"))
+            Err(refused("display `bench`: expected the formation `attenuating`, found the formation `additive`"))
         );
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-6.0, [4, 3], 2.0, [3, 2], [20.0, 14.0]));
         assert!(lenslets(&display).is_ok() && uniform_backlight(&display).is_err());

@@ -200,8 +200,9 @@ unsafe extern "C" fn make_stack<P: NodePlugin>(
         let input = NodeInput { host: host.get(), display, time, field, sink };
         // Run the node and check its stack before anything is sent.
         let made = P::make(params, &input)?;
-        made.check(&input.display)
-            .map_err(|error| PluginError::Failed(format!("the plugin made a wrong stack: {error}")))?;
+        made.check(&input.display).map_err(|error| {
+            PluginError::Failed(format!("the plugin made a layer stack that does not fit the display: {error}"))
+        })?;
         // Send brightness, layers and emission, plane by plane.
         // SAFETY: the context belongs to the sink; planes are lent for the call.
         call(|error| unsafe { (sink.brightness)(sink.context, made.brightness, error) })?;

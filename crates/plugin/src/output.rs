@@ -68,7 +68,7 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// # Errors
     /// [`PluginError::Refused`] if the plugin has no such command.
     fn command(&self, command: &Value) -> Result<(), PluginError> {
-        Err(PluginError::Refused(format!("expected no command, found {command}")))
+        Err(PluginError::Refused(format!("expected no command, since the plugin has none, found {command}")))
     }
 
     /// Finishes the output: no more data follow.

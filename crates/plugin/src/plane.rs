@@ -31,7 +31,7 @@ impl PlaneView<'_> {
         if plane.dtype != dtype::F32 || plane.ndim != 3 {
             let (dtype, ndim) = (plane.dtype, plane.ndim);
             return Err(PluginError::Failed(format!(
-                "expected a plane of 3 axes and data type {} (f32), found {ndim} axes and data type {dtype}",
+                "expected a plane with 3 axes and the data type {} (f32), found a plane with {ndim} axes and the data type {dtype}",
                 dtype::F32
             )));
         }

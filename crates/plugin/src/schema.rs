@@ -293,7 +293,7 @@ pub enum ParamError {
 fn hint(nearest: Option<&str>, known: &[String]) -> String {
     match nearest {
         Some(nearest) => format!("; did you mean `{nearest}`?"),
-        None if known.is_empty() => "; there are no parameters".into(),
+        None if known.is_empty() => "; the plugin has no parameters".into(),
         None => format!("; expected one of {}", known.join(", ")),
     }
 }

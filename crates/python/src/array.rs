@@ -47,7 +47,7 @@ impl Values {
         }
         let Ok(buffer) = buffer else {
             let found = object.get_type().name()?;
-            let remedy = if object.cast::<PySequence>().is_ok() { "; numpy.asarray(...) makes one" } else { "" };
+            let remedy = if object.cast::<PySequence>().is_ok() { "; numpy.asarray(...) makes an array" } else { "" };
             return Err(PyTypeError::new_err(format!("{what}: expected an array of floats, found {found}{remedy}")));
         };
         // Check type and shape.
@@ -75,7 +75,10 @@ impl Values {
     pub(crate) fn tensor<const N: usize>(self, what: &str, axes: [&'static str; N]) -> PyResult<Tensor<N>> {
         let shape: [usize; N] = self.shape.as_slice().try_into().map_err(|_| {
             let axes = axes.join(", ");
-            PyTypeError::new_err(format!("{what}: expected an array [{axes}], found shape {:?}", self.shape))
+            PyTypeError::new_err(format!(
+                "{what}: expected an array with the axes [{axes}], found an array of shape {:?}",
+                self.shape
+            ))
         })?;
         let tensor = match self.data {
             Data::Own(data) => Tensor::from_vec(axes, shape, data),
@@ -280,7 +283,7 @@ impl Array {
     /// Returns a NumPy array that uses the same memory.
     pub(crate) fn numpy(py: Python<'_>, part: Part) -> PyResult<Bound<'_, PyAny>> {
         let numpy = py.import("numpy").map_err(|error| {
-            let message = "expected NumPy, since results are NumPy arrays, found none; `pip install numpy` installs it";
+            let message = "expected the package numpy, since results are NumPy arrays, found none; `pip install numpy` installs numpy";
             let new = PyImportError::new_err(message);
             new.set_cause(py, Some(error));
             new

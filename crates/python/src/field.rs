@@ -50,7 +50,7 @@ impl LightField {
     pub(crate) fn of<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a Self> {
         object.cast::<Self>().map(Bound::get).map_err(|_| {
             let found = object.get_type().name().map(|name| name.to_string()).unwrap_or_default();
-            let remedy = "LightField(array, display=display) makes one";
+            let remedy = "LightField(array, display=display) makes a LightField";
             PyTypeError::new_err(format!("{argument}: expected a LightField, found {found}; {remedy}"))
         })
     }

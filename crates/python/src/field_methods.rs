@@ -83,7 +83,7 @@ impl LightField {
                 (None, Some(slope_x), Some(slope_y)) => ViewGrid { projection, slope_x, slope_y },
                 (None, None, None) if [view_rows, view_cols] == [1, 1] => ViewGrid::single(projection, [0.0, 0.0]),
                 _ => {
-                    let message = "light field: expected either `fov_deg` or both `slope_x` and `slope_y`, found another combination";
+                    let message = "light field: expected either `fov_deg` or both `slope_x` and `slope_y`, found another combination of the three arguments";
                     return Err(setting(py, message));
                 }
             };
@@ -94,7 +94,7 @@ impl LightField {
         let resolution = display.as_ref().map(|display| display.field.resolution);
         if let Some([display_cols, display_rows]) = resolution.filter(|resolution| *resolution != [cols, rows]) {
             let message = format!(
-                "radiance: expected views of {display_rows} × {display_cols} pixels (rows × columns) as the display has, found {rows} × {cols}"
+                "radiance: expected views of {display_rows} × {display_cols} pixels (rows × columns), as the display has, found views of {rows} × {cols} pixels"
             );
             return Err(exception(py, "DataError", &message));
         }
@@ -203,7 +203,10 @@ impl LightField {
     fn save(&self, py: Python<'_>, path: PathBuf, info: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         if path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("npy")) {
             if info.is_some() {
-                return Err(setting(py, "save: expected no `info`, since an array file cannot contain it, found one"));
+                return Err(setting(
+                    py,
+                    "save: expected no `info`, since a file of an array (.npy) cannot contain `info`, found a value",
+                ));
             }
             let radiance = self.field.radiance();
             return long(py, None, |_| {

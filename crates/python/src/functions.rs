@@ -123,7 +123,7 @@ pub(crate) fn render(
     if let Some(camera) = camera.as_ref().filter(|_| scene.ingested.scene.cameras.is_empty()) {
         return Err(setting(
             py,
-            format!("render: camera: expected none, since the scene has no cameras, found {camera}"),
+            format!("render: camera: expected no value, since the scene has no cameras, found {camera}"),
         ));
     }
     let Value::Object(mut lights) = serde_json::to_value(&scene.light).expect("settings serialize") else {
@@ -144,7 +144,7 @@ pub(crate) fn render(
     ] {
         if differs {
             let message = format!(
-                "light.{key}: expected the value of the Scene, to which the light belongs, found a different value in this call"
+                "light.{key}: expected the value with which the Scene was loaded, since the lights belong to the Scene, found a different value in this call"
             );
             return Err(setting(py, message));
         }
@@ -315,7 +315,12 @@ pub(crate) fn simulate<'py>(
         (Some(slope), None, None) => Viewpoint::Slope(slope),
         (None, Some(angle), None) => Viewpoint::Angle(angle),
         (None, None, Some(eye_mm)) => Viewpoint::Eye(eye_mm),
-        _ => return Err(setting(py, "simulate: expected one of `slope`, `angle_deg` and `eye_mm`, found several")),
+        _ => {
+            return Err(setting(
+                py,
+                "simulate: expected at most one of `slope`, `angle_deg` and `eye_mm`, found several",
+            ));
+        }
     };
     let picture = py.detach(|| picture_from(&stack.display, &stack.stack, viewpoint, raw));
     let picture = picture.map_err(|error| raised(py, &error))?;
@@ -354,7 +359,10 @@ pub(crate) fn write(
     let (display, stack, field) = if let Ok(stack) = what.cast::<LayerStack>() {
         let stack = stack.get();
         if display.is_some() {
-            return Err(setting(py, "write: expected no `display`, since patterns have a display, found one"));
+            return Err(setting(
+                py,
+                "write: expected no `display`, since patterns have a display of their own, found a display",
+            ));
         }
         (stack.display.clone(), Some(stack.stack.clone()), target.map(|target| target.field.clone()))
     } else if let Ok(field) = what.cast::<LightField>() {
@@ -504,8 +512,9 @@ pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
         return Err(setting(py, "set_threads: expected 1 or more, found 0"));
     }
     lumistack_pipeline::set_threads(count).map_err(|_| {
-        let found = "worker threads that have already started; call set_threads before any other work";
-        setting(py, format!("set_threads: expected a call before the first work, found {found}"))
+        let found =
+            "worker threads that have already started; call set_threads before all other functions of the package";
+        setting(py, format!("set_threads: expected no worker threads yet, found {found}"))
     })
 }
 
@@ -529,14 +538,14 @@ fn not_finite(field: &Field) -> Option<String> {
     let (channel, pixel) = (["red", "green", "blue"][at % channels], at / channels);
     let (col, row, view) = (pixel % cols, pixel / cols % rows, pixel / cols / rows);
     let view = format!("view [{}, {}], row {row}, column {col}, {channel}", view / view_cols, view % view_cols);
-    let remedy = "replace such values, for example with numpy.nan_to_num";
+    let remedy = "replace values that are not finite, for example with numpy.nan_to_num";
     Some(format!("{view}: expected a finite value, found {}; {remedy}", values[at]))
 }
 
 /// Returns the warning that a light field without a display gets the default display.
 fn default_warning(display: &Description) -> String {
     format!(
-        "the light field has no display, so the default is used, {} with {} frames. Remedy: pass display=, in this call or to LightField(...)",
+        "the light field has no display, so the default display is used, {} with {} frames. Remedy: pass display= in this call or to LightField(...)",
         display.name, display.frames
     )
 }

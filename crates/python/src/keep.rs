@@ -57,7 +57,7 @@ pub(crate) fn _light_field_with(light_field: &LightField, kept: &Bound<'_, PyDic
     if let Some(depth) = item("depth")? {
         let (shape, z_mm) = Values::read(&depth, "depth")?.into_parts();
         let [rows, cols] = shape[..] else {
-            return Err(damaged(py, "depth: expected two axes, found another number of axes"));
+            return Err(damaged(py, "depth: expected an array of two axes, found an array of another number of axes"));
         };
         let z_mm = z_mm.into_iter().map(|z| (!z.is_nan()).then_some(z)).collect();
         let depth = SeenDepth { rows, cols, z_mm };

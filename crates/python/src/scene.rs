@@ -64,7 +64,7 @@ impl Scene {
             Some(stage) => stage.call_method0("GetRootLayer")?.getattr("identifier")?.extract()?,
             None => source.extract().map_err(|_| {
                 let found = source.get_type().name().map(|name| name.to_string()).unwrap_or_default();
-                PyTypeError::new_err(format!("scene: expected a Scene, a path or a stage of OpenUSD, found {found}"))
+                PyTypeError::new_err(format!("scene: expected a Scene, a path or an OpenUSD stage, found {found}"))
             })?,
         };
         if stage.is_some() || (importer.plugin.is_none() && is_usd(&path) && usd::is_here(py)) {

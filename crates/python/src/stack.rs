@@ -51,7 +51,7 @@ impl LayerStack {
     pub(crate) fn of<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a Self> {
         object.cast::<Self>().map(Bound::get).map_err(|_| {
             let found = object.get_type().name().map(|name| name.to_string()).unwrap_or_default();
-            let remedy = "factorize(light_field) and LayerStack(layers, display) make one";
+            let remedy = "factorize(light_field) and LayerStack(layers, display) make a LayerStack";
             PyTypeError::new_err(format!("{argument}: expected a LayerStack, found {found}; {remedy}"))
         })
     }
@@ -227,7 +227,7 @@ impl LayerStack {
                 if used > 0 {
                     task.warn(
                         "psnr_zone",
-                        format!("the light field has no reference pictures, so its own {all} views are the references; {used} of them are views of these patterns, which the solver used. Remedy: render with zone_directions=32, or pass other views"),
+                        format!("the light field has no reference pictures, so its own {all} views are the references; the solver used {used} of these views to compute the patterns. Remedy: render with zone_directions=32, or pass other views"),
                     );
                 }
                 Arc::new(References::views_of(&references.field))

@@ -80,7 +80,7 @@ pub(crate) fn remove_stale(folder: &Path, old: &[String], views: [usize; 2]) -> 
 pub(crate) fn check_free(py: Python<'_>, folder: &Path, holds: Holds) -> PyResult<()> {
     let suffix = folder.extension().map(|suffix| suffix.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if FILES.contains(&&*suffix) && !folder.exists() {
-        let array = if holds == Holds::Views { ", or of a file that ends in .npy" } else { "" };
+        let array = if holds == Holds::Views { ", or the name of a file that ends in .npy" } else { "" };
         let message = format!("{}: expected the name of a folder{array}, found the suffix .{suffix}", folder.display());
         return Err(setting(py, message));
     }

@@ -60,7 +60,8 @@ pub(crate) fn is_stage(object: &Bound<'_, PyAny>) -> bool {
 pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path, pose: &PoseJob) -> PyResult<Walked> {
     // Refuse settings that have no effect on this stage or file.
     if stage.is_some() && !pose.variants.is_empty() {
-        let message = "variants: expected none with a stage, since the stage's own selections are used, found some";
+        let message =
+            "variants: expected no variants with a stage, since the stage's own selections are used, found some";
         return Err(setting(py, message));
     }
     let unused = [
@@ -100,7 +101,7 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
             py,
             "InternalError",
             &format!(
-                "{}: internal error, a bug in Lumistack: {error}; please report it with this file",
+                "{}: internal error, a bug in Lumistack: {error}; please report the error with the file",
                 path.display()
             ),
         )

@@ -131,7 +131,7 @@ def test_structured_and_object_arrays_are_refused() -> None:
 
 @pytest.mark.parametrize("shape", [(3,), (4, 5, 3), (2, 3, 4, 5), (1, 2, 3, 4, 5, 3)])
 def test_wrong_axes_are_named(shape: tuple[int, ...]) -> None:
-    with pytest.raises(TypeError, match=r"expected an array \[view_y, view_x, row, col, rgb\], found shape"):
+    with pytest.raises(TypeError, match=r"expected an array with the axes \[view_y, view_x, row, col, rgb\], found an array of shape"):
         LightField(numpy.zeros(shape, "f4"), **GEOMETRY)
 
 

@@ -66,7 +66,7 @@ def test_a_view_sees_what_lies_on_its_rays(distance_mm: float | None) -> None:
 
 def test_views_beyond_what_cameras_can_are_refused() -> None:
     window = random_window(random.Random(2))
-    with pytest.raises(WindowError, match="shift: expected at most 10"):
+    with pytest.raises(WindowError, match="shift of the camera: expected at most 10"):
         view_camera(window, (30.0, 0.0), 600.0, (-1.0, 1.0))
     with pytest.raises(WindowError, match="distance_mm"):
         view_camera(window, (0.0, 0.0), -1.0, (-1.0, 1.0))
@@ -189,7 +189,7 @@ def test_outlines() -> None:
 def test_fitted_depths_lie_in_the_range(distance_mm: float | None) -> None:
     chance = random.Random(3)
     depths = [chance.uniform(-300.0, -100.0) for _ in range(500)]
-    assert "100 % of what is seen" in (depth.sentence(depths, (-60.0, 60.0)) or "")
+    assert "100 % of the visible surfaces" in (depth.sentence(depths, (-60.0, 60.0)) or "")
     moved = depth.best_fit(depths, (-150.0, 150.0), distance_mm, compress=False)
     shown = [depth.shown_at(z, moved, distance_mm) for z in depths]
     assert moved.depth_scale == 1.0 and depth.outside(shown, (-150.0, 150.0)) == 0.0
@@ -303,7 +303,7 @@ def test_depths_are_in_front_or_behind() -> None:
     assert depth.outside([-80.00001, 80.00001], (-80.0, 80.0)) == 0.0 and depth.outside([-82.0, 82.0, 0.0, 1.0], (-80.0, 80.0)) == 0.5
     assert depth.outside([-1e9, 3.0], (-math.inf, 4.0)) == 0.0
     text = depth.sentence([-300.0, 40.0], (-80.0, 80.0)) or ""
-    assert "from 300 mm behind to 40 mm in front of the display, which is sharp from 80 mm behind to 80 mm in front of it" in text
+    assert "from 300 mm behind to 40 mm in front of the display, but the display is sharp only from 80 mm behind to 80 mm in front of its plane" in text
     assert depth.moved(depth.Fit(-94.0, 0.5)) == "The window moved forward by 94 mm; depth is shown at 50 %"
     assert depth.moved(depth.Fit(12.0, 1.0)) == "The window moved back by 12 mm; the depth is unchanged"
     assert depth.moved(depth.Fit(-0.2, 0.5)).startswith("The window stays in place")
@@ -485,7 +485,7 @@ def test_a_live_display_ends_with_the_program_that_started_it(tmp_path: Path) ->
 
 def test_a_program_attaches_to_a_live_display_and_leaves_it_running(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    with pytest.raises(FileNotFoundError, match=r"run: expected the run folder of a `lumistack live` that runs, found no file cache"):
+    with pytest.raises(FileNotFoundError, match=r"run: expected the run folder of a `lumistack live` that runs, found a folder without the file cache"):
         Attached(run)
     live = Live(live_words(tmp_path), os.environ)
     until(live, lambda state: state.address != "")

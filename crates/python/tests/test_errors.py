@@ -97,7 +97,7 @@ def test_folders_that_are_files(light_field: LightField, tmp_path: Path) -> None
     ):
         with pytest.raises(OSError, match="taken"):
             call()
-    with pytest.raises(lumistack.PluginError, match="expected a folder or a free name"):
+    with pytest.raises(lumistack.PluginError, match="expected a folder, or a name for a new folder"):
         lumistack.write(stack, "images", tmp_path / "taken")
 
 
@@ -126,7 +126,7 @@ def test_wrong_settings_of_rendering(scene: Path) -> None:
         ({"window": {"form": "bounds"}}, "unknown field `form`.*did you mean `from`"),
         ({"tone": "film"}, "^render: tone: expected one of auto, .*, found `film`"),
         ({"zone_directions": 5}, "^render: zone_directions: expected 0, or 32 to 4096, found 5"),
-        ({"light": {"automatic": False}}, "light.automatic: expected the value of the Scene"),
+        ({"light": {"automatic": False}}, "light.automatic: expected the value with which the Scene was loaded"),
         ({"window": 3}, "window: expected a mapping"),
     ):
         with pytest.raises((lumistack.SettingError, TypeError), match=message):
@@ -168,7 +168,7 @@ def test_values_that_are_no_light(radiance: Any, display: Display, tmp_path: Pat
 
 def test_arguments_of_a_wrong_type_are_named(light_field: LightField, radiance: Any, display: Display, scene: Path) -> None:
     stack = lumistack.factorize(light_field, iterations=0)
-    wanted = "^{}: expected a LightField, found ndarray; LightField\\(array, display=display\\) makes one"
+    wanted = "^{}: expected a LightField, found ndarray; LightField\\(array, display=display\\) makes a LightField"
     cloud = {"positions": numpy.zeros((1, 3)), "scales": numpy.ones((1, 3)), "opacities": [1.0], "harmonics": numpy.ones((1, 1, 3))}
     without_cameras = Scene.from_splats({name: numpy.asarray(values) for name, values in cloud.items()})
     calls: list[tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any], str]] = [
@@ -184,14 +184,14 @@ def test_arguments_of_a_wrong_type_are_named(light_field: LightField, radiance: 
         (lumistack.factorize, (light_field,), {"warm_start": radiance}, "^warm_start: expected a LayerStack"),
         (lumistack.factorize, (light_field,), {"frames": 2.0}, "^frames: expected a whole number above 0, found 2.0"),
         (lumistack.render, (scene, (64, 40)), {}, "^display: expected a Display, a name, a file or a mapping, found tuple"),
-        (lumistack.render, (3,), {}, "^scene: expected a Scene, a path or a stage of OpenUSD, found int"),
-        (lumistack.render, (without_cameras,), {"camera": "x"}, "camera: expected none, since the scene has no cameras, found x"),
+        (lumistack.render, (3,), {}, "^scene: expected a Scene, a path or an OpenUSD stage, found int"),
+        (lumistack.render, (without_cameras,), {"camera": "x"}, "camera: expected no value, since the scene has no cameras, found x"),
         (light_field.exposed, ("1",), {}, "^exposure_ev: expected a number"),
         (LightField, (radiance, display), {}, "pass the others by name, such as display="),
-        (LightField, (radiance.tolist(),), {"display": display}, r"found list; numpy\.asarray\(\.\.\.\) makes one"),
+        (LightField, (radiance.tolist(),), {"display": display}, r"found list; numpy\.asarray\(\.\.\.\) makes an array"),
         (LightField.open, ("x.npy",), {"slope_x": [0.0]}, r"LightField\(numpy\.load\(path\), slope_x="),
         (lumistack.set_threads, (0,), {}, "expected 1 or more, found 0"),
-        (lumistack.set_threads, (2,), {}, "call set_threads before any other work"),
+        (lumistack.set_threads, (2,), {}, "call set_threads before all other functions of the package"),
     ]
     for call, arguments, named, message in calls:
         with pytest.raises((TypeError, lumistack.SettingError), match=message):

@@ -144,12 +144,12 @@ def test_a_worker_of_another_build_is_refused_by_name(place: Path, job: Path, cl
     script = place / "other.sh"
     script.write_text('#!/bin/sh\necho \'{"event": "code", "version": "0.0.9", "code": "feedfacefeedface"}\'\n')
     script.chmod(0o755)
-    with pytest.raises(lumistack.farm.FarmError, match=r"no worker can be used: tcp://127.*has lumistack 0\.0\.9 \(feedfacefeedface\)"):
+    with pytest.raises(lumistack.farm.FarmError, match=r"none of the workers can be used: tcp://127.*has lumistack 0\.0\.9 \(feedfacefeedface\)"):
         lumistack.farm.run(job, place / "refused", client=cluster, worker_program=[str(script)])
 
 
 def test_a_worker_that_does_not_see_the_folder_is_refused(place: Path, job: Path, cluster: Any) -> None:
-    with pytest.raises(lumistack.farm.FarmError, match=r"does not see /nowhere/refused: share the folder"):
+    with pytest.raises(lumistack.farm.FarmError, match=r"does not find /nowhere/refused: share the folder"):
         lumistack.farm.run(job, place / "refused", client=cluster, maps=[f"{place}=/nowhere"])
 
 
@@ -180,7 +180,7 @@ def test_a_poisoned_unit_ends_with_one_message_and_all_else_done(place: Path, cl
         lumistack.farm.run(job, place / "poisoned", client=cluster, threads=1)
     message = str(caught.value)
     assert "unit t0002/read failed 3 times" in message and "t2.npy" in message, message
-    assert "units that depend on failed units were not started" in message
+    assert "units that were not started, since they depend on failed units" in message
     done = {unit["id"] for unit in lumistack.farm.plan(job, place / "poisoned")["units"] if unit["done"]}
     assert {"t0001/read", "t0001/factorize", "t0003/read"} <= done and "t0003/factorize" not in done
     # After the damaged file is corrected, the same command continues.

@@ -70,7 +70,7 @@ def test_a_folder_keeps_settings_and_display(rendered: LightField, tmp_path: Pat
 def test_views_that_the_solver_used_are_no_silent_references(rendered: LightField, tmp_path: Path) -> None:
     rendered.save(tmp_path / "views")
     stack = rendered.factorize(iterations=1)
-    with pytest.warns(lumistack.LumistackWarning, match="9 of them are views of these patterns.*zone_directions"):
+    with pytest.warns(lumistack.LumistackWarning, match="used 9 of these views to compute the patterns.*zone_directions"):
         stack.psnr_zone(LightField.open(tmp_path / "views"))
     x, y = (numpy.array(slopes) + 0.01 for slopes in (rendered.slope_x, rendered.slope_y))
     other = LightField(rendered.radiance, pitch_mm=rendered.pitch_mm, slope_x=x, slope_y=y)
@@ -81,9 +81,9 @@ def test_views_that_the_solver_used_are_no_silent_references(rendered: LightFiel
 
 def test_the_default_display_is_no_silent_choice(tmp_path: Path) -> None:
     field = LightField(numpy.full((3, 3, 8, 8, 3), 0.5, "f4"), pitch_mm=1.0, fov_deg=(20, 20))
-    with pytest.warns(lumistack.LumistackWarning, match="no display, so the default is used, .* 12 frames.*pass display="):
+    with pytest.warns(lumistack.LumistackWarning, match="no display, so the default display is used, .* 12 frames.*pass display="):
         field.factorize(iterations=0)
-    with pytest.warns(lumistack.LumistackWarning, match="the default is used"):
+    with pytest.warns(lumistack.LumistackWarning, match="the default display is used"):
         lumistack.write(field, "images", tmp_path / "images")
 
 

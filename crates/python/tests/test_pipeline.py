@@ -152,7 +152,7 @@ def test_an_array_file_takes_its_geometry_from_arguments(radiance: Any, tmp_path
     numpy.save(tmp_path / "views.npy", radiance)
     read = LightField.open(tmp_path / "views.npy", pitch_mm=0.5, fov_deg=(10, 10), distance_mm=600, grid="perspective")
     assert (read.pitch_mm, read.distance_mm) == (0.5, 600.0) and "perspective" in repr(read)
-    with pytest.raises(lumistack.DataError, match=r"give pitch_mm, for example pitch_mm=0\.5"):
+    with pytest.raises(lumistack.DataError, match=r"state the value with pitch_mm, for example pitch_mm=0\.5"):
         LightField.open(tmp_path / "views.npy")
     with pytest.warns(lumistack.LumistackWarning, match="fov_deg sets the angles"):
         LightField.open(tmp_path / "views.npy", display="fig7-uniform")

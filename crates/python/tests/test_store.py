@@ -132,7 +132,7 @@ def test_lists_and_files_of_a_store_are_checked(tmp_path: Path) -> None:
     entry = run.store.entries("plan/units/a.json")
     assert entry is not None
     (tmp_path / "store" / "files" / entry[0]["hash"]).write_bytes(b"two")
-    with pytest.raises(StoreError, match="deep/a: expected content of SHA-256"):
+    with pytest.raises(StoreError, match="deep/a: expected content with the SHA-256"):
         run.collect(tmp_path / "new", ["a"])
     assert not list((tmp_path / "new").rglob("*.part"))
 

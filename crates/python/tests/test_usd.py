@@ -85,9 +85,9 @@ def test_variants_of_a_file(tmp_path: Path) -> None:
     path = file_of_boxes(tmp_path)
     scene = Scene(path, variants=["look=green"])
     assert scene.variants == ["/World/Box0{look=green}", "/World/Box0{look=red}"]
-    with pytest.raises(lumistack.SceneError, match=r"expected one of the variants \(/World/Box0\{look\}: green, red\), found look=blue"):
+    with pytest.raises(lumistack.SceneError, match=r"expected one of the variants \(/World/Box0\{look\}: green, red\), found the variant look=blue"):
         Scene(path, variants=["look=blue"])
-    with pytest.raises(lumistack.SettingError, match="variants: expected none with a stage"):
+    with pytest.raises(lumistack.SettingError, match="variants: expected no variants with a stage"):
         Scene(stage_of_boxes(), variants=["look=red"])
 
 

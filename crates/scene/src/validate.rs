@@ -130,13 +130,13 @@ impl SceneParts {
         match flat.as_slice() {
             [] => {}
             [(place, dropped, before)] => {
-                task.warn(place, format!("triangles without area: {dropped} of {before}; they are left out"));
+                task.warn(place, format!("triangles without area, which are left out: {dropped} of {before}"));
             }
             // files from CAD often have triangles without area in many meshes, so all of these
             // meshes share one warning
             many => {
                 let dropped: usize = many.iter().map(|(_, dropped, _)| dropped).sum();
-                let message = format!("triangles without area: {dropped} in {} meshes; they are left out", many.len());
+                let message = format!("triangles without area, which are left out: {dropped} in {} meshes", many.len());
                 task.warn("/meshes", message);
             }
         }
@@ -170,7 +170,7 @@ impl SceneParts {
             return Err(SceneError::new(self.name, expected, "none"));
         }
         if !(bounds.min.is_finite() && bounds.max.is_finite()) {
-            return Err(SceneError::new(self.name, "bounds that a 32-bit float can hold", format!("{bounds:?}")));
+            return Err(SceneError::new(self.name, "coordinates that a 32-bit float can hold", "larger ones"));
         }
         let seen_bounds = if seen_bounds.is_empty() { bounds } else { seen_bounds };
         Ok(Scene { parts: self, bounds, seen_bounds })
@@ -198,7 +198,7 @@ impl SceneParts {
         let count =
             self.placed_clouds.iter().try_fold(0usize, |sum, placed| sum.checked_add(clouds[placed.cloud].len()));
         if count.is_none_or(|count| count > MOST_SPLATS) {
-            let found = format!("more, in {} placed clouds", self.placed_clouds.len());
+            let found = format!("more (copies of splat clouds: {})", self.placed_clouds.len());
             return Err(SceneError::new(&self.name, format!("at most {MOST_SPLATS} placed splats"), found));
         }
         Ok(())
@@ -352,12 +352,16 @@ impl SceneParts {
         for (i, light) in self.lights.iter_mut().enumerate() {
             let place = format!("light {i}");
             if !(light.position.is_finite() && light.intensity.is_finite() && light.intensity.min_element() >= 0.0) {
-                return Err(SceneError::new(place, "a finite position and intensity ≥ 0", format!("{light:?}")));
+                return Err(SceneError::new(
+                    place,
+                    "a finite position, and a finite intensity ≥ 0",
+                    format!("position {} and intensity {}", light.position, light.intensity),
+                ));
             }
             if let LightKind::Distant { half_angle_rad } = light.kind
                 && !(0.0..=FRAC_PI_2).contains(&half_angle_rad)
             {
-                return Err(SceneError::new(place, "a half angle in 0..π/2", half_angle_rad.to_string()));
+                return Err(SceneError::new(place, "a half angle from 0 to π/2", half_angle_rad.to_string()));
             }
             light.direction = light
                 .direction
@@ -370,7 +374,7 @@ impl SceneParts {
             let z = axes.z_axis.try_normalize();
             let x = axes.y_axis.cross(axes.z_axis).try_normalize();
             let (Some(x), Some(z), true) = (x, z, camera.scene_from_camera.is_finite()) else {
-                return Err(SceneError::new(place, "a placement with three independent axes", format!("{axes:?}")));
+                return Err(SceneError::new(place, "a placement with three independent axes", axes.to_string()));
             };
             // remove scale and shear from the camera's placement
             camera.scene_from_camera = Affine3A {
@@ -489,7 +493,7 @@ fn mend_normals(mesh: &mut Mesh, task: Task<'_>) {
     task.warn(
         &mesh.place,
         format!(
-            "normals without a direction: {}; each is replaced by the mean normal of the faces around its vertex",
+            "normals without a direction, each of which is replaced by the mean normal of the faces around its vertex: {}",
             broken.len()
         ),
     );

@@ -105,7 +105,7 @@ impl Window {
         if !(scale.is_finite() && scale > 0.0 && distance.is_finite() && distance > 0.0) {
             return Err(WindowError::Camera {
                 name: camera.name.clone(),
-                found: format!("distance {distance} and width {width}"),
+                found: format!("a window of width {width} at distance {distance}"),
             });
         }
         let translation = position + distance * forward;
@@ -124,7 +124,7 @@ impl Window {
         let x = up.cross(z).normalize_or_zero();
         if x == DVec3::ZERO || !centre.is_finite() {
             return Err(WindowError::Given {
-                expected: "a finite centre and directions forward and up that are neither zero nor parallel",
+                expected: "a finite centre, and directions forward and up that are neither zero nor parallel",
                 found: format!("centre {centre}, forward {forward}, up {up}"),
             });
         }

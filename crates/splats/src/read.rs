@@ -29,7 +29,11 @@ pub fn read(bytes: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>) -> R
         [b'{' | b' ' | b'\n' | b'\r' | b'\t', ..] => sog::read(bytes, beside),
         _ => {
             let start = &bytes[..bytes.len().min(4)];
-            Err(ReadError::new("start", "a .ply, .spz or .sog file, or a SOG's meta.json", format!("{start:02x?}")))
+            Err(ReadError::new(
+                "byte 0",
+                "a .ply, .spz or .sog file, or the file meta.json of a SOG",
+                format!("a file that starts \"{}\"", start.escape_ascii()),
+            ))
         }
     }
 }

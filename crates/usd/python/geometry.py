@@ -93,7 +93,7 @@ def primvars(prim, writer, time):
                 if indices is not None:
                     entry["indices"] = writer.array(indices)
         except (KeyError, TypeError):
-            writer.warn(prim.GetPath(), "the primvar %s is of type %s, which is not read" % (name, kind))
+            writer.warn(prim.GetPath(), "the primvar %s is left out, since its type %s is not supported" % (name, kind))
             continue
         found.append(entry)
     return found

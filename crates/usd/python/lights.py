@@ -53,7 +53,7 @@ def light(prim, writer, time):
         if shaping["cone:angle"] < 90.0 or shaping["focus"] > 0.0:
             entry["shaping"] = shaping
         if asset(prim, "shaping:ies:file", time):
-            writer.warn(prim.GetPath(), "the light's IES profile is not read")
+            writer.warn(prim.GetPath(), "the light's IES profile is not supported and has no effect")
     if kind in ("rect", "dome"):
         entry["image"] = picture(prim, writer, time)
     if kind == "dome":
@@ -67,10 +67,10 @@ def emission(prim, writer, time):
     for collection in ("lightLink", "shadowLink"):
         roots = prim.GetRelationship("collection:%s:includes" % collection), prim.GetRelationship("collection:%s:excludes" % collection)
         if any(targets and targets.GetTargets() for targets in roots):
-            writer.warn(prim.GetPath(), "the light's %s is not supported: the light lights all objects, and all objects cast shadows" % collection)
+            writer.warn(prim.GetPath(), "the light's %s is not supported: the light illuminates all objects, and all objects cast shadows" % collection)
     filters = prim.GetRelationship("light:filters")
     if filters and filters.GetTargets():
-        writer.warn(prim.GetPath(), "the light's filters are not applied")
+        writer.warn(prim.GetPath(), "the light's filters are not supported and have no effect")
     return {
         "place": str(prim.GetPath()),
         "radiance": brightness(prim, time, 1.0),
@@ -133,7 +133,7 @@ def picture(prim, writer, time):
     place = "%s.inputs:texture:file" % prim.GetPath()
     resolved = str(found.resolvedPath)
     if not resolved:
-        writer.warn(place, "%s does not exist; the light has only its colour" % found.path)
+        writer.warn(place, "the picture %s does not exist; the light is shown with its colour only" % found.path)
         return None
     writer.file(resolved.split("[")[0])
     return writer.image(resolved, lambda: materials.image_entry(writer, place, found.path, resolved))

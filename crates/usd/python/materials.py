@@ -58,7 +58,7 @@ def material(prim, writer, time):
                 if found is not None and found is not UNKNOWN:
                     entry["inputs"][given.GetBaseName()] = found
             if graph.unknown:
-                what = "these nodes are not supported: %s. Inputs that depend on them keep their defaults; a mix whose amount is not constant uses half of each of its two inputs"
+                what = "nodes that are not supported: %s. Inputs that depend on these nodes keep their defaults; a mix whose amount is not constant uses half of each of its two inputs"
                 writer.warn(prim.GetPath(), what % ", ".join(sorted(graph.unknown)))
             return entry
         if kind not in unknown:
@@ -69,7 +69,7 @@ def material(prim, writer, time):
         shown = ", ".join(kind or "one without an id" for kind in unknown)
         writer.warn(prim.GetPath(), "the material's surface shader (%s) is not supported; the display colour is used" % shown)
     elif needs_materialx(prim):
-        missing = "the material is in a MaterialX file, which this OpenUSD cannot open (type `lumistack setup usd --materialx`, or `pip install usd-exchange` instead of usd-core)"
+        missing = "the material is in a MaterialX file, which the installed OpenUSD cannot open (run `lumistack setup usd --materialx`, or `pip install usd-exchange` instead of usd-core)"
         writer.warn(prim.GetPath(), missing + "; the display colour is used")
     elif any(output.GetAttr().GetConnections() for output in source.GetSurfaceOutputs()):
         writer.warn(prim.GetPath(), "the material's surface output leads to no shader; the display colour is used")
@@ -167,7 +167,7 @@ class Graph:
         if not shader:
             return None
         if self.depth > 50:
-            self.writer.warn(shader.GetPath(), "the shader is connected in a circle; the input keeps its default")
+            self.writer.warn(shader.GetPath(), "the shader is in a circle of shaders, or at the end of a chain of more than 50; the input keeps its default")
             return None
         self.depth += 1
         found = self.node(shader, output)
@@ -218,7 +218,7 @@ class Graph:
             return {"primvar": name}
         # Other primvars are not supported; use the reader's fallback.
         found = self.get(shader, "fallback") or self.get(shader, "default")
-        self.writer.warn(shader.GetPath(), "as a value, only the primvar displayColor is read, not %s; the reader's fallback is used" % name)
+        self.writer.warn(shader.GetPath(), "the shader reads the primvar %s as a value, but only displayColor is supported; the shader's fallback is used" % name)
         return found
 
     def preview_texture(self, shader, output):
@@ -284,7 +284,7 @@ class Graph:
         # With the space "object" the node only decodes the picture. UsdPreviewSurface reads a
         # decoded vector as tangent space, so for this shader the two spaces do not differ.
         if self.text(shader, "space", "tangent") != "tangent" and self.model != "UsdPreviewSurface":
-            self.writer.warn(shader.GetPath(), "normal maps in object space are not supported; this one is left out")
+            self.writer.warn(shader.GetPath(), "the normal map is in object space, which is not supported; the normal map is left out")
             return None
         scale = self.value(shader, "scale", [1.0, 1.0])
         texture = rescaled(found["texture"], [2.0] * 3, [-1.0] * 3)
@@ -577,7 +577,7 @@ def image_entry(writer, place, path, resolved):
         try:
             entry["bytes"] = writer.array(packaged(resolved))
         except (OSError, KeyError, zipfile.BadZipFile) as error:
-            writer.warn(place, "%s cannot be read from its package: %s" % (path, error))
+            writer.warn(place, "the picture %s cannot be read from the USDZ package: %s" % (path, error))
     return entry
 
 

@@ -69,10 +69,10 @@ class Skeletons:
         if not target.HasJointInfluences():
             return points, None
         if not query:
-            raise ValueError("its skeleton is not valid")
+            raise ValueError("the shape's skeleton is not valid")
         joints = query.ComputeSkinningTransforms(self.time)
         if not joints:
-            raise ValueError("its skeleton has no transforms of joints")
+            raise ValueError("the shape's skeleton has no transforms of joints")
         to_world = UsdGeom.XformCache(self.time)
         # The joints' transforms are in the skeleton's space, so convert them to the mesh's space.
         back = to_world.GetLocalToWorldTransform(query.GetPrim()) * to_world.GetLocalToWorldTransform(prim).GetInverse()
@@ -82,11 +82,11 @@ class Skeletons:
             matrix = target.ComputeSkinnedTransform(joints, self.time)
             points = Vt.Vec3fArray([matrix.Transform(point) for point in points])
         elif not target.ComputeSkinnedPoints(joints, points, self.time):
-            raise ValueError("its joints, indices and weights do not fit its points and its skeleton")
+            raise ValueError("the shape's indices and weights of joints do not fit its points and its skeleton")
         try:
             return points, self.normals(mesh, target, own, len(points))
         except Exception as error:
-            writer.warn(prim.GetPath(), "the normals of the shape cannot be posed, so normals of its polygons are used: %s" % said(error))
+            writer.warn(prim.GetPath(), "the normals of the shape cannot be posed, so the normals of its polygons are used: %s" % said(error))
             return points, None
 
     def of_mesh(self, query, target, joints, writer):
@@ -100,7 +100,7 @@ class Skeletons:
         strangers = [str(name) for name in order if str(name) not in place]
         if strangers:
             named = ", ".join(strangers[:4]) + (" and %d more" % (len(strangers) - 4) if len(strangers) > 4 else "")
-            writer.warn(target.GetPrim().GetPath(), "the shape names joints that its skeleton lacks; these do not move: %s" % named)
+            writer.warn(target.GetPrim().GetPath(), "the shape names joints that its skeleton lacks and that do not move: %s" % named)
         return [joints[place[str(name)]] if str(name) in place else Gf.Matrix4d(1) for name in order]
 
     def blend(self, query, target, points):

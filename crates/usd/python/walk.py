@@ -100,8 +100,8 @@ def warn_of_composition(stage, writer):
     if without_materialx:
         writer.warn(
             "/",
-            "references to MaterialX files (.mtlx) are left out (%d), since this OpenUSD has no MaterialX plugin. The Python package usd-exchange"
-            " has one: `lumistack setup usd --materialx`, or `pip install usd-exchange` instead of usd-core" % without_materialx,
+            "references to MaterialX files (.mtlx) are left out (count: %d), since the installed OpenUSD has no MaterialX plugin. The Python package usd-exchange"
+            " has one: run `lumistack setup usd --materialx`, or `pip install usd-exchange` instead of usd-core" % without_materialx,
         )
 
 
@@ -154,11 +154,11 @@ def choose_variants(stage, wanted, writer):
             if not changed:
                 break
         else:
-            writer.warn(text, "the selection added variant sets eight times; sets that were added later may keep their own selections")
+            writer.warn(text, "the chosen variants added further variant sets more than eight times; the variant sets that were added last may keep the file's own variants")
         if not found:
             shown = list(known.values())
             listed = "; ".join(shown[:12]) + ("; and %d more" % (len(shown) - 12) if len(shown) > 12 else "")
-            raise Refused("expected one of the variants (%s), found %s" % (listed or "the file has none", text))
+            raise Refused("expected %s, found the variant %s" % ("one of the variants (%s)" % listed if listed else "no variant, since the file has none", text))
 
 
 def contents(stage):
@@ -401,7 +401,7 @@ class Walker:
         instancer = UsdGeom.PointInstancer(prim)
         place = prim.GetPath()
         if place in self.open_frames:
-            self.writer.warn(place, "the instancer is its own prototype; it is left out")
+            self.writer.warn(place, "the instancer is its own prototype and is left out")
             return []
         # Compute the matrix of every copy.
         indices = instancer.GetProtoIndicesAttr().Get(self.time)
@@ -427,7 +427,7 @@ class Walker:
         for number, target in enumerate(instancer.GetPrototypesRel().GetForwardedTargets()):
             root = self.stage.GetPrimAtPath(target)
             if not root:
-                self.writer.warn(place, "the instancer's prototype %s does not exist" % target)
+                self.writer.warn(place, "the instancer's prototype %s does not exist; its copies are left out" % target)
                 continue
             link = dict(shared, prototype=number)
             for kind, payload, links in self.frame(root, IN_PROTOTYPE):

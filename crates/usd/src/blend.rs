@@ -341,7 +341,7 @@ fn ask_program(
         Some(Failure { kind, message }) => Err(match kind.as_str() {
             "bpy" => Failed::Unfit(message.clone()),
             "scene" => Failed::Final(UsdError::Refused { file: request.path.clone(), message: message.clone() }),
-            _ => failed(format!("an exception: {message}")),
+            _ => failed(format!("an exception in lumistack's script: {message}")),
         }),
     }
 }
@@ -409,7 +409,7 @@ mod tests {
             (
                 "exception",
                 r#"echo '{"error": {"kind": "other", "message": "KeyError: x"}}' > "$last/answer.json""#,
-                "an exception: KeyError: x",
+                "an exception in lumistack's script: KeyError: x",
             ),
         ] {
             let text = asked(folder.path(), &[fake(folder.path(), name, script)]).unwrap_err().to_string();

@@ -149,7 +149,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
         return Err(match failure.kind.as_str() {
             "python" | "pxr" => Failed::Unfit(failure.message),
             "scene" => Failed::Final(UsdError::Refused { file, message: failure.message }),
-            _ => failed(format!("an exception: {}", failure.message.trim_end())),
+            _ => failed(format!("an exception in lumistack's script: {}", failure.message.trim_end())),
         });
     }
     Ok(answer)

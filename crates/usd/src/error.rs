@@ -11,7 +11,7 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum UsdError {
     /// No Python with OpenUSD was found.
-    #[error("{file}: USD files are read by the Python package usd-core, which was not found. Type `lumistack setup usd` once, or `pip install usd-core` into a Python that lumistack finds (tried: {})", tried.join("; "))]
+    #[error("{file}: USD files are read by the Python package usd-core, which was not found. Run `lumistack setup usd` once, or install usd-core with pip into one of the Pythons that lumistack tried: {}", tried.join("; "))]
     NoPython {
         /// The file as the caller named it.
         file: String,
@@ -20,7 +20,7 @@ pub enum UsdError {
     },
     /// The Python in `LUMISTACK_PYTHON` cannot read USD files.
     #[error(
-        "LUMISTACK_PYTHON: expected a Python with the package usd-core, found {found}. Type `{python} -m pip install usd-core`, or unset the variable and type `lumistack setup usd`"
+        "LUMISTACK_PYTHON: expected a Python with the package usd-core, found {found}. Run `{python} -m pip install usd-core`, or unset LUMISTACK_PYTHON and run `lumistack setup usd`"
     )]
     GivenPython {
         /// The program that `LUMISTACK_PYTHON` names.
@@ -29,7 +29,7 @@ pub enum UsdError {
         found: String,
     },
     /// No Blender was found.
-    #[error("{file}: .blend files are read by Blender 4.2 or newer, which was not found. Install it from blender.org, name its program in LUMISTACK_BLENDER, or `pip install bpy` into a Python that lumistack finds (tried: {})", tried.join("; "))]
+    #[error("{file}: .blend files are read by Blender 4.2 or newer, which was not found. Install Blender from blender.org, or name the program of an installed Blender in LUMISTACK_BLENDER, or install bpy with pip into a Python on PATH. Programs that lumistack tried: {}", tried.join("; "))]
     NoBlender {
         /// Absolute path of the file.
         file: String,

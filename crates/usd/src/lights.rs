@@ -101,7 +101,7 @@ impl Lights {
                 return task.warn(
                     place,
                     format!(
-                        "expected a light in the form that our USD script writes, found an unreadable one ({error}); the light is left out"
+                        "expected a light in the form that lumistack's USD script writes, found data that cannot be read ({error}); the light is left out"
                     ),
                 );
             }
@@ -151,7 +151,10 @@ impl Lights {
         if !matches!(entry.format.as_str(), "" | "automatic" | "latlong") {
             task.warn(
                 &entry.place,
-                format!("the picture's layout {} is not supported and is taken as latlong", entry.format),
+                format!(
+                    "the layout {} of the dome light's picture is not supported; the layout latlong is used",
+                    entry.format
+                ),
             );
         }
         let image = entry.image.and_then(|image| textures.radiance(image));
@@ -188,7 +191,7 @@ impl Lights {
         let scene_area = (scene_area * missing) as f32;
         let given = Vec3::from(entry.radiance);
         if entry.shaping.is_some_and(|shaping| shaping.focus > 0.0) {
-            task.warn(&entry.place, "the light's shaping:focus is not supported");
+            task.warn(&entry.place, "the light's shaping:focus is not supported and has no effect");
         }
         // A light with a cone becomes a spot. A sphere without a cone becomes a point light if it
         // has the radius 0 or treatAsPoint.

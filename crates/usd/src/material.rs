@@ -49,7 +49,7 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
             task.warn(
                 place,
                 format!(
-                    "expected a material in the form that our USD script writes, found an unreadable one ({error}); the display colour is used"
+                    "expected a material in the form that lumistack's USD script writes, found data that cannot be read ({error}); the display colour is used"
                 ),
             );
             return None;

@@ -68,7 +68,12 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     let format = match image::guess_format(bytes) {
         Ok(format @ (Png | Jpeg | WebP | Hdr)) => format,
         Err(_) if name.to_ascii_lowercase().ends_with(".tga") => Tga,
-        Ok(other) => return Err(format!("in the format {other:?}; PNG, JPEG, WebP, TGA, HDR and OpenEXR are read")),
+        Ok(other) => {
+            return Err(format!(
+                "in the format {}; PNG, JPEG, WebP, TGA, HDR and OpenEXR are read",
+                format!("{other:?}").to_uppercase()
+            ));
+        }
         Err(_) => {
             let start = bytes[..bytes.len().min(12)].escape_ascii();
             return Err(format!(
@@ -84,7 +89,8 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     limits.max_alloc = Some(MOST_BYTES);
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     reader.limits(limits);
-    let broken = |error: image::ImageError| format!("no readable {format:?} picture ({error})");
+    let broken =
+        |error: image::ImageError| format!("no readable {} picture ({error})", format!("{format:?}").to_uppercase());
     let decoder = reader.into_decoder().map_err(broken)?;
     let (width, height) = decoder.dimensions();
     // a texel takes at most 16 bytes: four channels of at most four bytes
@@ -119,13 +125,13 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
     if header.deep || matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
         let found = if header.deep { "deep data".to_owned() } else { header.compression.to_string() };
         return Err(format!(
-            "OpenEXR with {found}; flat pictures are read, without compression or with RLE, ZIP, PIZ, PXR24 or B44"
+            "an OpenEXR picture with {found}; flat pictures are read, without compression or with RLE, ZIP, PIZ, PXR24 or B44"
         ));
     }
     let (width, height) = (header.layer_size.0, header.layer_size.1);
     let most = MOST_BYTES / 16;
     if width == 0 || height == 0 || (width as u64).saturating_mul(height as u64) > most {
-        return Err(format!("OpenEXR of {width} × {height} texels, which is empty or too large"));
+        return Err(format!("an OpenEXR picture of {width} × {height} texels; 1 to {most} texels are read"));
     }
     let blocks: usize = meta.headers.iter().map(|header| header.chunk_count).fold(0, usize::saturating_add);
     if blocks.saturating_mul(LEAST_BYTES_PER_BLOCK) > bytes.len() {
@@ -151,7 +157,10 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
         let Some(source) = source else { continue };
         let samples = &list[source].sample_data;
         if samples.len() != texels.len() {
-            return Err(format!("OpenEXR with a subsampled channel {}", list[source].name));
+            return Err(format!(
+                "an OpenEXR picture with a subsampled channel, {}, which is not supported",
+                list[source].name
+            ));
         }
         let targets = texels.iter_mut().map(|texel| &mut texel[channel]);
         match samples {

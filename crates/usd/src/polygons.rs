@@ -158,7 +158,7 @@ impl Reader<'_, '_> {
         let primvar = primvar?;
         let attribute = self.fitting(primvar);
         if let Err(reason) = &attribute {
-            (self.warn)(format!("the primvar {} has {reason}; it is left out", primvar.name));
+            (self.warn)(format!("the primvar {} is left out, since it has {reason}", primvar.name));
         }
         attribute.ok()
     }
@@ -177,7 +177,7 @@ impl Reader<'_, '_> {
             "varying" => (Interpolation::Varying, self.sizes.points),
             "vertex" => (Interpolation::Vertex, self.sizes.points),
             "faceVarying" => (Interpolation::FaceVarying, self.sizes.corners),
-            other => return Err(format!("the interpolation {other:?}")),
+            other => return Err(format!("the unknown interpolation {other:?}")),
         };
         if values.iter().flatten().any(|value| !value.is_finite()) {
             return Err("values that are not finite".into());
@@ -197,7 +197,7 @@ impl Reader<'_, '_> {
         // a list for a constant may have more values, of which the first is used
         if found < elements || (found > elements && interpolation != Interpolation::Constant) {
             return Err(format!(
-                "a list of length {found}, but its interpolation \"{}\" needs {elements}",
+                "a list of length {found}, but its interpolation \"{}\" needs length {elements}",
                 primvar.interpolation
             ));
         }

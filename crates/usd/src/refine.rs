@@ -34,7 +34,7 @@ pub(crate) fn refined(
         _ => Scheme::CatmullClark,
     };
     if scheme == Scheme::Loop && polygons.counts.iter().any(|&count| count > 3) {
-        task.warn(&entry.place, "Loop's scheme is for triangles; larger faces are cut into triangles first");
+        task.warn(&entry.place, "the subdivision scheme loop is for triangles; faces with more corners are cut into triangles before the subdivision");
     }
     let cage = Cage {
         vertex_count: polygons.points.len(),

@@ -253,7 +253,8 @@ impl<'a> Assembly<'a> {
         let there = self.parts.instances.len() + self.parts.placed_clouds.len();
         let total = copies.and_then(|copies| copies.checked_mul(shown.len())?.checked_add(there));
         if total.is_none_or(|total| total > MOST_INSTANCES) {
-            let found = format!("more (levels of nested copies: {}); use fewer or less nested instancers", links.len());
+            let found =
+                format!("more (levels of nested instancers: {}); use fewer copies or fewer levels", links.len());
             return Err(Fault::new(place, format!("at most {MOST_INSTANCES} instances and splat clouds"), found));
         }
         // Add an instance for every combination of one matrix from each link.
@@ -420,7 +421,12 @@ impl<'a> Assembly<'a> {
                 match usize::try_from(face).ok().and_then(|face| slots.get_mut(face)) {
                     Some(slot) if *slot == 0 => *slot = number,
                     Some(_) => {}
-                    None => self.task.warn(&subset.place, format!("face {face} of the subset does not exist")),
+                    None => self.task.warn(
+                        &subset.place,
+                        format!(
+                            "the subset lists face {face}, which the mesh lacks; the subset is used without this face"
+                        ),
+                    ),
                 }
             }
         }

@@ -85,7 +85,7 @@ impl Setup {
             result.map_err(|found| UsdError::Setup { expected, found })
         };
         let made = run(Command::new(base).args(["-m", "venv", "--clear"]).arg(folder), &mut |_| {}, cancel)?;
-        step(format!("an environment from `{} -m venv`", base.display()), made)?;
+        step(format!("`{} -m venv` to make an environment", base.display()), made)?;
         let python = interpreter(folder);
         let mut pip = Command::new(&python);
         pip.args(["-m", "pip", "install", "--disable-pip-version-check", "--progress-bar", "off", package]);

@@ -126,7 +126,7 @@ pub(crate) fn curves(
     let wanted = counts.iter().fold(0usize, |sum, &count| sum.saturating_add(usize::try_from(count).unwrap_or(0)));
     if wanted > points.len() {
         let message = format!(
-            "curveVertexCounts: expected counts of {} points in all, found {wanted}; the last curves are left out",
+            "curveVertexCounts: expected counts with a sum of at most {}, the number of points, found {wanted}; the last curves are left out",
             points.len()
         );
         task.warn(place, message);

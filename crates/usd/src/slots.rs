@@ -157,7 +157,7 @@ impl<'a> Builder<'_, 'a> {
             }
         }
         self.warn(format!(
-            "expected at most two primvars as texture coordinates, found also {name}; the first is used"
+            "expected at most two primvars as texture coordinates, found a third one, {name}; the first primvar is used instead of {name}"
         ));
         0
     }
@@ -176,7 +176,7 @@ impl<'a> Builder<'_, 'a> {
         match value {
             Value::Constant(color) => ((*color).into(), None),
             Value::Colors => {
-                self.warn("displayColor is read for the base colour alone; white is used elsewhere");
+                self.warn("the primvar displayColor can be used for the base colour alone; inputs for another colour that read displayColor get white");
                 (Vec3::ONE, None)
             }
             Value::Texture(source) => {
@@ -321,7 +321,7 @@ impl<'a> Builder<'_, 'a> {
     /// Warns if the coat's index of refraction is not [`COAT_INDEX`].
     pub(crate) fn coat_index(&self, ior: f32) {
         if self.material.clearcoat.is_some() && (ior - COAT_INDEX).abs() > 1e-3 {
-            self.warn(format!("the coat's index of refraction {ior} is shown as {COAT_INDEX}"));
+            self.warn(format!("the coat's index of refraction, {ior}, is not supported; {COAT_INDEX} is used"));
         }
     }
 

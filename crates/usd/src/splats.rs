@@ -19,7 +19,9 @@ pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) 
     let in_file = in_file.ok_or_else(|| Fault::new(place, "a degree of harmonics from 0 to 64", entry.degree))?;
     let degree = in_file.min(MAX_DEGREE);
     if in_file > degree {
-        let message = format!("harmonics of degree {in_file}: {MAX_DEGREE} is the highest that is rendered");
+        let message = format!(
+            "the harmonics have degree {in_file}, but degree {MAX_DEGREE} is the highest that is rendered; higher degrees are left out"
+        );
         task.warn(place, message);
     }
     let orientations = rows::<4>(package, &entry.orientations, count, "orientations", place, task)?;
@@ -60,7 +62,7 @@ fn rows<const N: usize>(
     let Some(array) = array else { return Ok(None) };
     let mut rows = package.reals::<N>(array, place)?;
     if rows.len() < count {
-        task.warn(place, format!("expected {count} {name}, found {}, which are not used", rows.len()));
+        task.warn(place, format!("expected {count} {name}, found {}; the {name} are left out", rows.len()));
         return Ok(None);
     }
     rows.truncate(count);
@@ -76,7 +78,7 @@ fn encoding(name: &str, place: &str, task: Task<'_>) -> Encoding {
         other => {
             let taken = if other.starts_with("lin") { Encoding::Linear } else { Encoding::Srgb };
             let as_name = if taken == Encoding::Linear { "lin_rec709_scene" } else { "srgb_rec709_display" };
-            task.warn(place, format!("the colour space {other} of splats is not known and is taken for {as_name}"));
+            task.warn(place, format!("the colour space {other} of the splats is unknown; {as_name} is used"));
             taken
         }
     }

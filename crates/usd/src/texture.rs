@@ -146,7 +146,7 @@ impl<'a> Textures<'a> {
         let picture = match read {
             Ok(picture) => Some(Rc::new(picture)),
             Err(reason) => {
-                let message = format!("{} is {reason}; the texture's fallback is used", entry.name);
+                let message = format!("{} is {reason}; the texture's fallback value is used", entry.name);
                 self.task.warn(&entry.place, message);
                 None
             }
@@ -183,7 +183,7 @@ impl<'a> Textures<'a> {
                 let differs =
                     source.primvar != first.primvar || source.transform != first.transform || source.wrap != first.wrap;
                 if differs {
-                    let message = "channels of one texture with different placements are not supported; all use the first placement";
+                    let message = "a texture whose channels have different placements is not supported; all channels get the placement of the first one";
                     self.task.warn(place, message);
                 }
             }
@@ -194,7 +194,7 @@ impl<'a> Textures<'a> {
             "clamp" => Wrap::ClampToEdge,
             "mirror" => Wrap::MirroredRepeat,
             "black" => {
-                self.task.warn(place, "textures that are black outside 0..1 are not supported; the edge is repeated");
+                self.task.warn(place, "the wrap mode black of a texture is not supported; outside of the picture the colours of the picture's edge are used");
                 Wrap::ClampToEdge
             }
             _ => Wrap::Repeat,
@@ -327,8 +327,10 @@ impl<'p> Reader<'p> {
         match (channel, picture) {
             (Channel::Component(source, k), Some(picture)) => {
                 let space = Space::of(&source.color_space, kind, picture).unwrap_or_else(|| {
-                    let message =
-                        format!("the colour space {} is not known and is taken as linear Rec. 709", source.color_space);
+                    let message = format!(
+                        "the colour space {} of a texture is unknown; linear Rec. 709 is used",
+                        source.color_space
+                    );
                     task.warn("/textures", message);
                     Space::Linear
                 });

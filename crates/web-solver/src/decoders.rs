@@ -92,11 +92,13 @@ mod page {
     }
 
     pub(crate) fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
-        let unreachable = |error: JsValue| Unsound {
+        let unreachable = |error: JsValue| {
+            Unsound {
             place: String::new(),
-            expected: "the decoders of this page, lumistack_web_pictures_bg.wasm and lumistack_web_decoders_bg.wasm"
+            expected: "the decoders of this page, lumistack_web_pictures_bg.wasm and lumistack_web_decoders_bg.wasm, on the page's server"
                 .into(),
             found: message(&error),
+        }
         };
         // if there is no answer, the module of decoders stopped on damaged content
         let found = answer(&packed.to_bytes(), packed.is_common()).map_err(unreachable)?;

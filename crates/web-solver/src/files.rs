@@ -86,7 +86,8 @@ impl AssetResolver for Beside<'_> {
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
         let plain = uri.strip_prefix("./").unwrap_or(uri);
         let path = if self.folder.is_empty() { plain.to_owned() } else { format!("{}/{plain}", self.folder) };
-        let bytes = self.files.0.get(&path).ok_or("it is not among the files that were opened; open its folder")?;
+        let missing = "the file is not among the opened files; open the folder that contains the file";
+        let bytes = self.files.0.get(&path).ok_or(missing)?;
         if bytes.len() as u64 > max_bytes {
             return Err(format!("expected a file of at most {max_bytes} bytes, found {}", bytes.len()));
         }

@@ -94,9 +94,9 @@ impl Settings {
     /// page has.
     pub fn display(&self) -> Result<Display, Error> {
         let preset = presets()?.into_iter().find(|preset| preset.name == self.preset);
-        let preset = preset.ok_or_else(|| Error::value("preset", "the name of a preset", &self.preset))?;
+        let preset = preset.ok_or_else(|| Error::value("preset", "the name of a built-in display", &self.preset))?;
         if !COLS.contains(&self.cols) {
-            return Err(Error::value("cols", "16 to 640 columns", self.cols));
+            return Err(Error::value("cols", "16 to 640 columns of pixels", self.cols));
         }
         let base = preset.display;
         let [cols, rows] = base.field.resolution;

@@ -521,7 +521,7 @@ mod tests {
     #[test]
     fn warnings_of_a_page_name_no_options() {
         for (warning, expected) in [
-            ("a.npy: 20° × 20° (--fov sets the angles)", "a.npy: 20° × 20°"),
+            ("a.npy: 20° × 20° (--fov sets other angles)", "a.npy: 20° × 20°"),
             ("1 mm (--pitch-mm), 2 views (--grid)", "1 mm, 2 views"),
             ("b (c): (--fov", "b (c): (--fov"),
             ("b (c): d", "b (c): d"),

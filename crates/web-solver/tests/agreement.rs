@@ -170,7 +170,7 @@ fn bad_input_is_one_sentence() {
     assert!(error.contains("a.gltf"), "{error}");
     for (choice, expected) in [
         (r#"{"cols": 100000}"#, "cols: expected 16 to 640"),
-        (r#"{"preset": "x"}"#, "preset: expected the name of a preset, found x"),
+        (r#"{"preset": "x"}"#, "preset: expected the name of a built-in display, found x"),
         (r#"{"frames": 0}"#, "frames"),
         (r#"{"brightness": 2.0}"#, "brightness"),
         (r#"{"colour": 1}"#, "unknown field `colour`"),

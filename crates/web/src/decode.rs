@@ -18,24 +18,25 @@ const PIXEL: usize = 3;
 pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
     let error = |expected: &str, found: String| err(format!("{}: expected {expected}, found {found}", file.path));
     let damaged = |problem: &str| {
-        error("a PNG picture", format!("{} bytes that are cut short, damaged or no PNG ({problem})", bytes.len()))
+        error("a PNG picture", format!("{} bytes of a damaged file, or of another format ({problem})", bytes.len()))
     };
     // Collect the header and the compressed stream.
-    let mut rest = bytes.strip_prefix(&SIGNATURE).ok_or_else(|| damaged("no signature"))?;
+    let mut rest = bytes.strip_prefix(&SIGNATURE).ok_or_else(|| damaged("the file does not begin as a PNG does"))?;
     let mut stream = Vec::new();
     let mut header = None;
     loop {
-        let (kind, data, after) = chunk(rest).ok_or_else(|| damaged("no end"))?;
+        let (kind, data, after) = chunk(rest).ok_or_else(|| damaged("the file is cut short"))?;
         rest = after;
         match kind {
             b"IHDR" => header = Some(data),
             b"IDAT" => stream.extend_from_slice(data),
             b"IEND" => break,
-            other if other[0].is_ascii_uppercase() => return Err(damaged("a chunk that is not known")),
+            other if other[0].is_ascii_uppercase() => return Err(damaged("the file has an unknown chunk")),
             _ => {}
         }
     }
-    let header: &[u8; 13] = header.and_then(|data| data.try_into().ok()).ok_or_else(|| damaged("no header"))?;
+    let header: &[u8; 13] =
+        header.and_then(|data| data.try_into().ok()).ok_or_else(|| damaged("the file has no header"))?;
     let [cols, rows] = [0, 4].map(|at| u32::from_be_bytes([0, 1, 2, 3].map(|i| header[at + i])) as usize);
     if (rows, cols) != (file.rows, file.cols) {
         return Err(error(&format!("{} × {} pixels", file.cols, file.rows), format!("{cols} × {rows}")));
@@ -51,9 +52,9 @@ pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
     // Unpack the stream and undo the filter of each row.
     let line = PIXEL * cols;
     let filtered = decompress_to_vec_zlib_with_limit(&stream, rows * (1 + line));
-    let filtered = filtered.map_err(|_| damaged("its pixels do not unpack"))?;
+    let filtered = filtered.map_err(|_| damaged("the pixels cannot be decompressed"))?;
     if filtered.len() != rows * (1 + line) {
-        return Err(damaged("too few pixels"));
+        return Err(damaged("the file has too few pixels"));
     }
     let mut codes = vec![0; rows * line];
     let zeros = vec![0; line];
@@ -62,7 +63,7 @@ pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
         let above = if row == 0 { &zeros[..] } else { &before[(row - 1) * line..] };
         let (filter, coded) = filtered[row * (1 + line)..][..1 + line].split_first().expect("a line has a filter");
         if !unfilter(*filter, coded, above, &mut here[..line]) {
-            return Err(damaged("a filter that is not known"));
+            return Err(damaged("a row has an unknown filter"));
         }
     }
     Ok(codes)

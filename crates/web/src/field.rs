@@ -32,7 +32,7 @@ impl Field {
         if !bytes.is_some_and(|bytes| (4..=LIMIT).contains(&bytes)) {
             let found = format!("{} × {} views of {cols} × {rows} pixels", views[1], views[0]);
             return Err(err(format!(
-                "light field: expected at least one pixel, and at most 1 GiB with 4 bytes per pixel, found {found}"
+                "light field: expected at least one pixel, and at most 1 GiB of views with 4 bytes per pixel, found {found}"
             )));
         }
         Ok(Self { size, views, codes: vec![None; views[0] * views[1]] })

@@ -82,7 +82,10 @@ impl Model {
     /// If there is no such file or it is damaged; the model stays unchanged.
     pub fn put(&mut self, index: usize, bytes: &[u8]) -> Result<(Part, Option<usize>), Error> {
         let file = self.preview.files.get(index).ok_or_else(|| {
-            err(format!("files: expected a number from 0 to {}, found {index}", self.preview.files.len() as i64 - 1))
+            err(format!(
+                "files: expected a file number from 0 to {}, found {index}",
+                self.preview.files.len() as i64 - 1
+            ))
         })?;
         let part = file.part;
         self.codes[index] = Some(decode(file, bytes)?);
@@ -330,7 +333,8 @@ impl Model {
     pub fn render_layer(&self, layer: usize, frame: usize) -> Result<Vec<u8>, Error> {
         let codes = self.codes(Part::Layer { layer, frame });
         Ok(on_light_table(
-            codes.ok_or_else(|| err(format!("layer {layer}, frame {frame}: missing, or not loaded yet")))?,
+            codes
+                .ok_or_else(|| err(format!("layer {layer}, frame {frame}: the mask is missing, or not loaded yet")))?,
         ))
     }
 
@@ -341,7 +345,10 @@ impl Model {
     /// If the backlight is uniform, there is no such frame, or the emission's file has not arrived.
     pub fn render_backlight(&self, frame: usize) -> Result<Vec<u8>, Error> {
         let codes = self.codes(Part::Emission { frame });
-        Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: missing, or not loaded yet")))?))
+        Ok(on_light_table(
+            codes
+                .ok_or_else(|| err(format!("backlight, frame {frame}: the emission is missing, or not loaded yet")))?,
+        ))
     }
 
     /// Returns the error map at a slope, compared with the target's view L nearest to the slope.
@@ -391,8 +398,9 @@ impl Model {
     /// # Errors
     /// If there is no such view or it has not arrived.
     pub fn target(&self, view: [usize; 2]) -> Result<&[u8], Error> {
-        self.codes(Part::Target { view })
-            .ok_or_else(|| err(format!("target view {}, {}: missing, or not loaded yet", view[0], view[1])))
+        self.codes(Part::Target { view }).ok_or_else(|| {
+            err(format!("target, row {}, column {}: the view is missing, or not loaded yet", view[0], view[1]))
+        })
     }
 
     /// Returns [view_y, view_x] of the target's view nearest to a slope.

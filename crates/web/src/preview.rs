@@ -120,7 +120,7 @@ impl TryFrom<Entry> for File {
             (kind, ..) => {
                 let path = &entry.path;
                 return Err(format!(
-                    "file `{path}`: its kind `{kind}` is unknown, or it lacks the layer, frame or view that this kind requires"
+                    "file `{path}`: expected a known kind, and the layer, frame or view that the kind requires, found the kind `{kind}`"
                 ));
             }
         };
@@ -166,14 +166,14 @@ impl Preview {
     /// If the text is malformed, has another schema or version or values out of range, or if files
     /// do not fit the display.
     pub fn from_json(text: &str) -> Result<Self, Error> {
-        let malformed = |error: String| err(format!("preview.json: expected a preview, but reading failed: {error}"));
+        let malformed = |error: String| err(format!("preview.json: expected a preview, found an error: {error}"));
         // Another version may have other keys, so check the version before the other keys.
         let Head { schema, version } = json::parse(text).map_err(malformed)?;
         if schema != Self::SCHEMA {
             return Err(err(format!("preview.json: schema: expected {:?}, found {schema:?}", Self::SCHEMA)));
         }
         if version != Self::VERSION {
-            let advice = "made by another version of Lumistack: write the preview anew";
+            let advice = "another version of Lumistack made the preview: write the preview again";
             return Err(err(format!("preview.json: version: expected {}, found {version} ({advice})", Self::VERSION)));
         }
         let preview: Self = json::parse(text).map_err(malformed)?;
@@ -191,11 +191,11 @@ impl Preview {
         expect(
             brightness > 0.0 && brightness <= 1.0,
             "brightness",
-            "above 0, at most 1".into(),
+            "a number above 0 and at most 1".into(),
             brightness.to_string(),
         )?;
         let frames = self.display.frames;
-        expect(self.frames == frames, "frames", format!("the display's {frames}"), self.frames.to_string())?;
+        expect(self.frames == frames, "frames", format!("{frames}, as the display has"), self.frames.to_string())?;
         let [views_y, views_x] = self.geometry()?.grid.views();
         // Check every file: the display has the file's part, and the picture has the part's size.
         for (i, file) in self.files.iter().enumerate() {
@@ -213,7 +213,12 @@ impl Preview {
                 }
                 Part::Target { view: [y, x] } => (y < views_y && x < views_x, "a view of the target"),
             };
-            expect(known, &place, part.into(), format!("{:?}", file.part))?;
+            let found = match file.part {
+                Part::Layer { layer, frame } => format!("layer {layer}, frame {frame}"),
+                Part::Emission { frame } => format!("frame {frame}"),
+                Part::Target { view: [y, x] } => format!("row {y}, column {x}"),
+            };
+            expect(known, &place, part.into(), found)?;
             let [rows, cols] = self.size_of(file.part);
             expect([rows, cols] == [file.rows, file.cols], &place, format!("{cols} × {rows} pixels"), size)?;
         }

@@ -19,7 +19,7 @@ type Thrown<T> = Result<T, JsValue>;
 
 /// Returns the error of a call of `draw` without a context.
 fn detached() -> Error {
-    err("the viewer has no context: attach one before drawing")
+    err("the viewer has no graphics context: attach a context before drawing")
 }
 
 fn clamped(bytes: &[u8]) -> Uint8ClampedArray {

@@ -327,8 +327,8 @@ fn previews_that_make_no_sense_say_where() {
     for (error, message) in [
         (with(&|j| j["version"] = json!(2)), "version: expected 1, found 2"),
         (with(&|j| j["schema"] = json!("x")), "schema: expected \"lumistack-preview\", found \"x\""),
-        (with(&|j| j["frames"] = json!(3)), "frames: expected the display's 2, found 3"),
-        (with(&|j| j["brightness"] = json!(0)), "brightness: expected above 0"),
+        (with(&|j| j["frames"] = json!(3)), "frames: expected 2, as the display has, found 3"),
+        (with(&|j| j["brightness"] = json!(0)), "brightness: expected a number above 0"),
         (with(&|j| j["display"]["layers"][1]["d_mm"] = json!(-99)), "display: layers[1].d_mm"),
         (with(&|j| j["files"][0]["layer"] = json!(9)), "files[0]: expected a layer and a frame of the display"),
         (with(&|j| j["files"][0]["rows"] = json!(9)), "files[0]: expected 16 × 10 pixels, found 16 × 9"),

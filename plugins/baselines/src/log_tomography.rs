@@ -43,7 +43,7 @@ impl NodePlugin for LogTomography {
                 "darkest",
                 0.01,
                 1e-6..=0.5,
-                "Target values below this value are raised to it, since their logarithms would dominate the objective.",
+                "Smallest target value: lower values are raised to this value, since their logarithms would dominate the objective.",
             )
             .unit("1"),
         ])

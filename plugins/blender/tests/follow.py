@@ -263,7 +263,7 @@ def attaches(folder, scene, until):
             raise AssertionError(f"no error: {text}")
         assert live.session is None
 
-    fails("expected the run folder of a `lumistack live` that runs, found no file")
+    fails("expected the run folder of a `lumistack live` that runs, found a folder without the file")
     words = [sys.executable, "-m", "lumistack", "live", "--no-open", str(folder / "now.glb"), "-o", str(run), "--display", scene.lumistack.file]
     other = subprocess.Popen(words, env=operators.preview_environment(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     try:
@@ -293,7 +293,7 @@ def attaches(folder, scene, until):
         assert bpy.ops.lumistack.live() == {"FINISHED"}
         other.kill()
         until("the end of the program", lambda: live.session is None)
-        assert live.ended == f"{run}: lumistack live stopped unexpectedly", live.ended
+        assert live.ended == f"lumistack live in {run} stopped unexpectedly", live.ended
         fails("found the folder of a program that has ended")
     finally:
         other.kill()

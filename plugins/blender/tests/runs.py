@@ -148,14 +148,14 @@ def case_views(folder, zip_path):
     shape = lumistack.Display("paper-three-layer", resolution=(420, 262)).light_field_shape
     assert settings_of.display_of(held).light_field_shape == shape == (13, 13, 262, 420, 3)
     lines = cost.lines(scene, settings_of.display_of(held))
-    assert lines == ["13 × 13 views of 420 × 262 pixels", "169 and 4 for the score = 173 renders by Cycles, 7 samples each", "Time: not known yet"], lines
+    assert lines == ["13 × 13 views of 420 × 262 pixels", "169 and 4 for the score = 173 renders by Cycles, 7 samples per pixel", "Time: unknown until Estimate Time or a first run has measured it"], lines
     held.views_from = "HALF"
     half = settings_of.display_of(held)
     assert half.light_field_shape[:2] == (7, 7) and all(
         abs(a - b) < 1e-9 for a, b in zip(half.slopes[0], lumistack.Display("paper-three-layer", resolution=(420, 262)).slopes[0][::2], strict=True)
     )
     held.use_score = False
-    assert "49 renders by Cycles, 7 samples each" in cost.lines(scene, half)
+    assert "49 renders by Cycles, 7 samples per pixel" in cost.lines(scene, half)
     held.views_from, held.views = "OWN", (3, 2)
     assert settings_of.display_of(held).light_field_shape[:2] == (2, 3)
     # A live display chooses its automatic views itself.
@@ -187,7 +187,7 @@ def case_views(folder, zip_path):
     assert (job.rendered, job.kept) == (7, 2)
     # Our path tracer is measured by small views.
     held.renderer = "LUMISTACK"
-    assert cost.lines(scene, settings_of.display_of(held))[-1] == "Time: not known yet"
+    assert cost.lines(scene, settings_of.display_of(held))[-1] == "Time: unknown until Estimate Time or a first run has measured it"
     assert bpy.ops.lumistack.estimate() == {"FINISHED"}
     assert "Time: about" in cost.lines(scene, settings_of.display_of(held))[-1]
     # With automatic views our path tracer chooses the number of paths, as for the command.
@@ -265,7 +265,7 @@ def case_faults(folder, zip_path):
     scene.camera = bpy.data.objects["camera"]
     fails("no such.toml", scene)
     scene.lumistack.file = ""
-    fails("File: expected a display file (.toml), found no path; select one, or set Display to Preset", scene)
+    fails("File: expected a display file (.toml), found no path; select a display file, or set Display to Preset", scene)
     # In a scene without objects the camera is not at fault.
     scene = scenes.empty()
     configure(scene, folder)
@@ -303,7 +303,7 @@ def case_faults(folder, zip_path):
     scene.lumistack.moved_back_mm, scene.lumistack.depth_scale = 300.0, 1.0
     text = jobs.fit_depth(scene, True)
     print("note:", text)
-    assert text.startswith("The window moved ") and "stays blurred" in text
+    assert text.startswith("The window moved ") and "stay blurred" in text
     fitted = scene.lumistack.moved_back_mm, scene.lumistack.depth_scale
     assert fitted[1] > 0.5 * before[1] and abs(fitted[0] - before[0]) < 100.0, (fitted, before)
     # If no fit is better, nothing changes.
@@ -494,7 +494,7 @@ def case_resume(folder, zip_path):
     stamps = {name: (views / name).stat().st_mtime_ns for name in names if name.startswith("view")}
     again = subprocess.run(words, env={**environment, "CASE_KILL": "0"}, capture_output=True, text=True)
     assert again.returncode == 0, again.stdout + again.stderr
-    assert "5 views rendered, 4 kept" in again.stdout, again.stdout
+    assert "views rendered: 5, views kept from earlier runs: 4" in again.stdout, again.stdout
     assert all((views / name).stat().st_mtime_ns == stamp for name, stamp in stamps.items())
     assert len(list(views.iterdir())) == 9
     return ""

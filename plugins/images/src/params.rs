@@ -246,7 +246,7 @@ impl ImagesParams {
             return Err(PluginError::Refused(text.into()));
         }
         if self.lenslet_panel && !self.writes_pictures() {
-            let text = "parameter `lenslet_panel`: expected one of `png8`, `png16` and `exr` as well, found none";
+            let text = "parameter `lenslet_panel`: expected also one of the parameters `png8`, `png16` and `exr`, found none of the three";
             return Err(PluginError::Refused(text.into()));
         }
         Ok(())

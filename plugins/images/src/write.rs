@@ -394,7 +394,7 @@ impl Images {
     fn layer_of(&self, layer: usize) -> Result<&Layer, PluginError> {
         let layers = &self.display.layers;
         layers.get(layer).ok_or_else(|| {
-            PluginError::Refused(format!("expected a layer index smaller than {}, found {layer}", layers.len()))
+            PluginError::Refused(format!("layer: expected an index below {}, found {layer}", layers.len()))
         })
     }
 

@@ -91,7 +91,7 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<MtlM
             _ if OTHER_MAPS.contains(&key.to_ascii_lowercase().as_str())
                 && !left_out.iter().any(|known| known == key) =>
             {
-                warn(number, format!("`{key}` is not read"));
+                warn(number, format!("`{key}` is not supported and has no effect"));
                 left_out.push(key.to_owned());
             }
             _ => {}
@@ -219,7 +219,7 @@ mod tests {
             "6: `map_Kd`: expected the name of a picture, found `-s 2`",
             "7: `map_Kd`: the option -bm has no effect",
             "7: `map_Kd`: the option -mm has no effect",
-            "8: `map_Bump` is not read",
+            "8: `map_Bump` is not supported and has no effect",
         ];
         assert_eq!(warnings, expected);
     }

@@ -42,14 +42,14 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
         // The declared resolution must equal the output's size.
         if let Some(declared) = declared.filter(|declared| declared != size) {
             found.push(format!(
-                "{key}.panel_resolution: expected the {} × {} pixels of output {name}, found {} × {}; check that {name} is the right output, and that it runs at its panel's native resolution",
+                "{key}.panel_resolution: expected the {} × {} pixels of output {name}, found {} × {}; check that {name} is the right output, and that {name} runs at the native resolution of its panel",
                 size[0], size[1], declared[0], declared[1]
             ));
         }
         // The mask should neither exceed the panel nor cover less than half of it.
         let (covers, there) = cover(display, *shows, *size);
         let text = format!(
-            "{shows} covers {:.0} × {:.0} pixels, and output {name} has {} × {}",
+            "{shows} covers {:.0} × {:.0} pixels, and output {name} has {} × {} pixels",
             covers[0], covers[1], there[0], there[1]
         );
         // An excess of less than a pixel comes from rounding. The outer lenses of an array may be
@@ -144,7 +144,7 @@ mod tests {
         let outputs = outputs(&[[40, 30]]);
         let found = misfits(&display, &outputs);
         assert!(
-            found[0].starts_with("layer 0 covers 100 × 60 pixels, and output O0 has 40 × 30: the rest"),
+            found[0].starts_with("layer 0 covers 100 × 60 pixels, and output O0 has 40 × 30 pixels: the rest"),
             "{found:?}"
         );
         let (display, pitch_mm) = fitted(&display, &outputs);
@@ -169,7 +169,10 @@ mod tests {
         outputs[1].1.refresh_hz = Some(75.0);
         let found = misfits(&display, &outputs);
         assert_eq!(found.len(), 3, "{found:?}");
-        assert!(found[0].starts_with("layer 0 covers 30 × 20 pixels, and output O0 has 100 × 80 ("), "{found:?}");
+        assert!(
+            found[0].starts_with("layer 0 covers 30 × 20 pixels, and output O0 has 100 × 80 pixels ("),
+            "{found:?}"
+        );
         assert!(
             found[1].starts_with("layers[1].panel_resolution: expected the 40 × 30 pixels of output O1, found 30 × 20")
         );

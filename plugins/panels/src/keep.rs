@@ -37,7 +37,11 @@ pub fn keep_panels(text: &str, display: &Display) -> Result<String, KeepError> {
         _ => Some("none".into()),
     };
     if let Some(found) = found {
-        return Err(wrong("layers", &format!("one table [[layers]] per layer of the display ({count})"), found));
+        return Err(wrong(
+            "layers",
+            &format!("one table [[layers]] for each layer of the display, {count} in all"),
+            found,
+        ));
     }
     if let Backlight::Lenslets(backlight) = &display.backlight
         && let Some(table) = document.get_mut("backlight").and_then(Item::as_table_like_mut)
@@ -125,7 +129,7 @@ pitch_mm = 1.0
         let mut display = Display::from_toml(TEXT).unwrap();
         display.layers.pop();
         let error = keep_panels(TEXT, &display).unwrap_err().to_string();
-        assert_eq!(error, "layers: expected one table [[layers]] per layer of the display (1), found 2");
+        assert_eq!(error, "layers: expected one table [[layers]] for each layer of the display, 1 in all, found 2");
         assert!(keep_panels("layers = 3", &display).is_err() && keep_panels("= 3", &display).is_err());
     }
 }

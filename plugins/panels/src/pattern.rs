@@ -159,7 +159,7 @@ impl Pattern {
         };
         let Backlight::Lenslets(backlight) = &display.backlight else {
             let expected = format!("a display with a lenslet backlight for `{kind}`");
-            return Err(PatternError { expected, found: "a uniform backlight".into() });
+            return Err(PatternError { expected, found: "a display with a uniform backlight".into() });
         };
         let counts = if kind == "lenslet" { backlight.lenslets } else { backlight.views };
         if at[0] >= counts[0] || at[1] >= counts[1] {

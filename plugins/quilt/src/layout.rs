@@ -55,7 +55,7 @@ impl Layout {
             ([columns, rows], _) if columns > 0 && rows > 0 => [columns, rows],
             ([columns, rows], _) => {
                 return refused(format!(
-                    "parameters `columns` and `rows`: expected both or neither, found {columns} and {rows}"
+                    "parameters `columns` and `rows`: expected two numbers above 0, or 0 for both, found {columns} and {rows}"
                 ));
             }
         };
@@ -142,7 +142,7 @@ mod tests {
         let given = Given { views: [4, 3], size: [0, 999], aspect: 1.5 };
         assert_eq!(layout(given, 5), Layout { size: [640, 999], columns: 4, rows: 3, aspect: 1.5 });
         let one = Layout::new(None, Given { views: [4, 0], ..Given::default() }, 5, [160, 100]);
-        assert!(one.unwrap_err().to_string().contains("both or neither"));
+        assert!(one.unwrap_err().to_string().contains("expected two numbers above 0, or 0 for both"));
         let small = Layout::new(None, Given { views: [4, 4], size: [3, 9], aspect: 0.0 }, 5, [160, 100]);
         assert!(small.unwrap_err().to_string().contains("at least 4 × 4"));
     }

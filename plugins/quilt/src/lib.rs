@@ -127,7 +127,7 @@ impl OutputPlugin for Quilt {
             ),
             Param::int("columns", 0, 0..=100, "Number of columns of views. 0 uses the device's number, or without a device the number with which the quilt is nearest to a square.")
                 .unit("views"),
-            Param::int("rows", 0, 0..=100, "Number of rows of views; 0 has the same meaning as for columns.").unit("views"),
+            Param::int("rows", 0, 0..=100, "Number of rows of views. 0 uses the device's number, or without a device the number with which the quilt is nearest to a square.").unit("views"),
             Param::int(
                 "width",
                 0,
@@ -252,7 +252,7 @@ impl Quilt {
         if black >= LEAST_BLACK {
             self.host.warn(&format!(
                 "{:.0} % of the quilt is black: the views' aspect is {:.3}, the display's {:.3}; render views of the display's aspect (for example {} × {} \
-                 pixels), or set fit = \"cover\" to crop them",
+                 pixels), or set fit = \"cover\" to crop the views",
                 100.0 * black,
                 size[0] as f64 / size[1] as f64,
                 layout.aspect,

@@ -42,7 +42,7 @@ impl Film {
         }
         let refused = |found: &str| {
             PluginError::Refused(format!(
-                "parameter `curve`: expected one list, or three (red, green, blue) separated by semicolons. A list has two or more pairs `CODE TRANSMITTANCE` separated by commas: codes rise from 0 to 255, transmittances rise within 0..1; found {found:?}"
+                "parameter `curve`: expected one list, or three lists (red, green, blue) separated by semicolons, found {found:?}. A list has two or more pairs `CODE TRANSMITTANCE` separated by commas: codes rise from 0 to 255, transmittances rise within 0..1"
             ))
         };
         let tables: Vec<Vec<[f64; 2]>> =

@@ -153,18 +153,18 @@ impl OutputPlugin for Transparencies {
     fn open(host: Host, params: TransparenciesParams, display: Display) -> Result<Self, PluginError> {
         if display.frames != 1 {
             return Err(PluginError::Refused(format!(
-                "printed layers are static: expected a display with frames = 1, found {}",
+                "printed layers are static: expected a display with frames = 1, found frames = {}",
                 display.frames
             )));
         }
         if display.formation != Formation::Attenuating {
             return Err(PluginError::Refused(format!(
-                "film attenuates: expected formation = \"attenuating\", found {:?}",
-                display.formation
+                "film attenuates: expected formation = \"attenuating\", found formation = \"{}\"",
+                format!("{:?}", display.formation).to_lowercase()
             )));
         }
         if display.backlight != Backlight::Uniform {
-            host.warn("only layers are printed, not the directional backlight behind them");
+            host.warn("only the layers are printed, not the display's directional backlight");
         }
         let film = Film::new(&params.curve, params.min_transmittance)?;
         let sheet = Sheet::new(&display.layers, params.border_mm, params.paper.size_mm())?;
@@ -245,7 +245,7 @@ impl Transparencies {
         if too_dark > 0 {
             let darkest = self.film.dark.iter().copied().fold(0.0, f64::max);
             self.host.warn(&format!(
-                "values below the film's least transmittance ({darkest:.3} of clear film): {too_dark}; black_level = {darkest:.3} in the display's layers gives patterns without such values"
+                "mask values below the film's least transmittance ({darkest:.3} of clear film): {too_dark}. Patterns that are solved with black_level = {darkest:.3} in all layers of the display have no value below {darkest:.3}"
             ));
         }
         let out = document.finish().map_err(pdf::failed)?;

@@ -31,7 +31,7 @@ pub(crate) fn spacers_mm(layers: &[Layer], film_mm: f64, index: f64) -> Result<V
             let gap = pair[1].d_mm - pair[0].d_mm;
             if gap < film_mm {
                 return Err(PluginError::Refused(format!(
-                    "parameter `film_mm`: expected at most the distance of layers, {gap} mm, found {film_mm}"
+                    "parameter `film_mm`: expected at most {gap}, the distance between two layers in mm, found {film_mm}"
                 )));
             }
             Ok((gap - film_mm) * index)
@@ -184,6 +184,9 @@ mod tests {
         let acrylic = spacers_mm(&layers, 0.1, 1.49).unwrap();
         assert!((acrylic[0] - 3.9 * 1.49).abs() < 1e-12 && (acrylic[1] - 5.9 * 1.49).abs() < 1e-12);
         let error = spacers_mm(&layers, 5.0, 1.0).unwrap_err().to_string();
-        assert!(error.starts_with("parameter `film_mm`: expected at most the distance of layers, 4 mm"), "{error}");
+        assert!(
+            error.starts_with("parameter `film_mm`: expected at most 4, the distance between two layers in mm"),
+            "{error}"
+        );
     }
 }

@@ -140,7 +140,9 @@ impl<W: Write> Document<W> {
         })?;
         let (table, count) = (self.written, self.places.len() + 1);
         if table > LONGEST {
-            return Err(io::Error::other(format!("expected a PDF of at most {LONGEST} bytes, found {table}")));
+            return Err(io::Error::other(format!(
+                "expected a PDF whose table of objects begins at byte {LONGEST} at the latest, found a table that begins at byte {table}; print at a lower resolution"
+            )));
         }
         let mut text = format!("xref\n0 {count}\n0000000000 65535 f\r\n");
         self.places.iter().for_each(|place| text += &format!("{place:010} 00000 n\r\n"));

@@ -200,7 +200,7 @@ fn displays_that_cannot_be_printed_are_refused() {
     };
     let moving = Display { frames: 12, ..display.clone() };
     let text = refused(&moving, json!({}));
-    assert_eq!(text, "printed layers are static: expected a display with frames = 1, found 12");
+    assert_eq!(text, "printed layers are static: expected a display with frames = 1, found frames = 12");
     let text = refused(&Display { formation: Formation::Additive, ..display.clone() }, json!({}));
     assert!(text.starts_with("film attenuates: expected formation = \"attenuating\""), "{text}");
     assert!(refused(&display, json!({"film_mm": 7})).contains("`film_mm`"));

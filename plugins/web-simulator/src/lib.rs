@@ -88,7 +88,7 @@ impl OutputPlugin for WebSimulator {
             Param::bool(
                 "target",
                 true,
-                "Also write views of the target for comparison, at most 7 × 7; they are a large part of the site's size.",
+                "Also write views of the target for comparison, at most 7 × 7; the views are a large part of the site's size.",
             ),
             Param::bool("single_file", true, "Also write the page and its pictures as one file, preview.html."),
             Param::float(

@@ -95,7 +95,7 @@ impl<'a> Site<'a> {
         let most = single.most / 1_000_000;
         self.single = None;
         let text = format!(
-            "preview.html was left out: it would have more than {most} MB (single_file_mb). `lumistack preview` on this folder shows the page."
+            "preview.html was left out, since the file would have more than {most} MB (single_file_mb). `lumistack preview` on the output's folder shows the page."
         );
         self.host.info(&text);
         Ok(())

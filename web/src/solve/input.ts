@@ -29,7 +29,7 @@ export async function builtIn(name: string): Promise<Input> {
   if (!scene) throw new Problem(`There is no scene “${name}” in this page.`, `The scenes are ${Object.keys(SCENES).join(", ")}.`, false);
   const files = scene.files.map(async (file): Promise<[string, Blob]> => {
     const response = await fetch(new URL(`scenes/${name}/${file}`, import.meta.url));
-    if (!response.ok) throw new Problem(`scenes/${name}/${file} could not be fetched: the server answers ${response.status}.`, "Check that the folder scenes is in the same folder as this page.", false);
+    if (!response.ok) throw new Problem(`scenes/${name}/${file} could not be fetched: the server answers ${response.status}.`, "Check that the folder scenes is in the folder of this page.", false);
     return [file, await response.blob()];
   });
   return { files: await Promise.all(files), path: scene.files[0]!, title: scene.title, isField: false, builtIn: name };

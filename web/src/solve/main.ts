@@ -120,7 +120,7 @@ function tell({ title, caption }: { title: string; caption: string }): void {
 function showState({ stage: now, share, psnr, warnings, onDevice, threads }: State): void {
   stage = now;
   at<HTMLProgressElement>("bar").value = share;
-  const quality = Number.isFinite(psnr) ? ` ${psnr.toFixed(1)} dB over the views.` : "";
+  const quality = Number.isFinite(psnr) ? ` PSNR ${psnr.toFixed(1)} dB over the views.` : "";
   const words = { scene: input?.isField ? "Reading the light field…" : "Reading the scene…", views: `Rendering views${threads > 1 ? ` on ${threads} threads` : ""}, ${Math.floor(100 * share)} %.`, patterns: `Solving, ${Math.floor(100 * share)} %.`, done: "Finished." };
   const rest = paused && stage !== "done" ? "Stopped." : words[stage];
   const reason = solver.obstacle ? `: ${solver.obstacle}` : "";
@@ -188,7 +188,7 @@ async function open(files: ReadonlyMap<string, File>): Promise<void> {
     // A preview already contains patterns, so the viewer shows it without the solver.
     at("empty").hidden = at("caption").hidden = true;
     at("drop").classList.remove("idle");
-    say("This is a preview, which already contains patterns.");
+    say("The dropped folder is a preview, which already contains patterns.");
     await viewer.open(files);
     return undefined;
   });

@@ -28,7 +28,7 @@ async function obstacleOf(): Promise<string | undefined> {
   if (!("Suspending" in WebAssembly && "JSTag" in WebAssembly)) return "this browser cannot suspend WebAssembly";
   const adapter = await gpu.requestAdapter().catch(() => null);
   if (!adapter) return "this browser offers no graphics processor";
-  return adapter.info.isFallbackAdapter && DEVICE !== "gpu" ? "this browser offers only a graphics adapter in software" : undefined;
+  return adapter.info.isFallbackAdapter && DEVICE !== "gpu" ? "this browser offers only a graphics processor in software" : undefined;
 }
 
 async function fetched(name: string): Promise<Response> {

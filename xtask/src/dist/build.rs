@@ -88,7 +88,7 @@ impl Target {
 fn host() -> Outcome<Target> {
     let said = output_of(command("rustc").arg("-vV")).ok_or("rustc does not start")?;
     let triple = said.lines().find_map(|line| line.strip_prefix("host: ")).unwrap_or_default();
-    Target::of(triple).ok_or_else(|| format!("expected a machine with releases, found {triple}"))
+    Target::of(triple).ok_or_else(|| format!("expected a system for which Lumistack has releases, found {triple}"))
 }
 
 /// Finds or makes a Python with the builders.
@@ -105,7 +105,7 @@ fn builders() -> Outcome<PathBuf> {
         Ok(python)
     } else {
         Err(format!(
-            "{}: cannot import `ziglang` and `maturin`, although pip installed them; check the output of pip above",
+            "{}: cannot import `ziglang` and `maturin`, although pip installed both; check the output of pip above",
             python.display()
         ))
     }
@@ -171,7 +171,7 @@ fn check_program(bytes: &[u8], target: &Target) -> Outcome {
     // `e_machine` of ELF's header: EM_X86_64 or EM_AARCH64
     let machine = if target.triple.starts_with("x86_64") { 62 } else { 183 };
     if !bytes.starts_with(b"\x7fELF") || bytes.get(18..20) != Some(&[machine, 0]) {
-        return Err(format!("expected an ELF program for {}, found another file", target.triple));
+        return Err(format!("expected an ELF program for {}, found a file of another kind", target.triple));
     }
     // the names of versions are strings in the table of dynamic symbols
     let number = |text: &str| -> Option<(u32, u32)> {
@@ -184,7 +184,10 @@ fn check_program(bytes: &[u8], target: &Target) -> Outcome {
         .max()
         .ok_or("expected names of versions of glibc, found none")?;
     if Some(newest) > number(GLIBC) {
-        return Err(format!("expected glibc {GLIBC} or older, found {}.{}", newest.0, newest.1));
+        return Err(format!(
+            "expected a program that needs glibc {GLIBC} or older, found a program that needs glibc {}.{}",
+            newest.0, newest.1
+        ));
     }
     println!("{}: needs glibc {}.{}", target.triple, newest.0, newest.1);
     Ok(())

@@ -24,7 +24,9 @@ const READ: [&str; 4] = ["README.md", "docs", "scenes", "plugins/blender/tests"]
 /// Runs the scripts of the named ways on the files in `dist`; all scripts if no way is named.
 pub fn test(ways: &[&str], dist: &Path) -> Outcome {
     let clean = debian::clean()
-        .map_err(|why| println!("no clean Debian ({why}): the tests install into an empty prefix instead"))
+        .map_err(|why| {
+            println!("dist test: there is no clean Debian ({why}), so the tests install into an empty folder instead")
+        })
         .ok();
     let mut times = Vec::new();
     let mut failed = Vec::new();
@@ -51,7 +53,11 @@ pub fn test(ways: &[&str], dist: &Path) -> Outcome {
     }
     println!("\n{:>8}  way", "seconds");
     times.iter().for_each(|(way, seconds)| println!("{seconds:8.0}  {way}"));
-    if failed.is_empty() { Ok(()) } else { Err(format!("not installed or not working: {}", failed.join(", "))) }
+    if failed.is_empty() {
+        Ok(())
+    } else {
+        Err(format!("files that cannot be installed, or do not work after the installation: {}", failed.join(", ")))
+    }
 }
 
 /// Runs a script in a copy of the Debian.

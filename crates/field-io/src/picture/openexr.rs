@@ -223,7 +223,7 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     }
     let chunks: u64 = meta.headers.iter().map(|header| header.chunk_count as u64).fold(0, u64::saturating_add);
     if chunks.saturating_mul(LEAST_BYTES_PER_CHUNK) > length {
-        let found = format!("{length}: the file is cut short");
+        let found = format!("{length} bytes: the file is cut short");
         return Err(FieldError::malformed(
             path,
             "content",
@@ -234,7 +234,7 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     let bytes = (size[0] * size[1]) as u64 * header.channels.bytes_per_pixel as u64;
     if bytes > length.saturating_mul(MOST_EXPANSION) {
         let expected = format!("{} × {} pixels in at least {} bytes", size[0], size[1], bytes.div_ceil(MOST_EXPANSION));
-        return Err(FieldError::malformed(path, "content", expected, length.to_string()));
+        return Err(FieldError::malformed(path, "content", expected, format!("{length} bytes")));
     }
     Ok(size)
 }
@@ -266,7 +266,7 @@ pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), Field
     for (channel, index) in indices.into_iter().enumerate() {
         let samples = &list[index].sample_data;
         if samples.len() != cols * rows {
-            let found = format!("{} of {}", samples.len(), cols * rows);
+            let found = format!("{} samples for {} pixels", samples.len(), cols * rows);
             return Err(FieldError::malformed(path, &names[index], "one sample per pixel", found));
         }
         let targets = data.iter_mut().skip(channel).step_by(3);

@@ -72,7 +72,10 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     assert_eq!((label(&field, [0, 2]), label(&field, [1, 0])), ([2, 0], [0, 1]));
     let uniform = ViewGrid::uniform(Projection::Oblique, [3, 2], [20.0, 20.0]).unwrap();
     assert!(field.geometry().grid.slope_x.iter().zip(&uniform.slope_x).all(|(a, b)| (a - b).abs() < EXACT));
-    assert!(warnings.iter().any(|w| w.contains("only pictures with the prefix `` are read")), "{warnings:?}");
+    assert!(
+        warnings.iter().any(|w| w.contains("only pictures whose names begin with the row are read")),
+        "{warnings:?}"
+    );
 
     let folder = tempfile::tempdir().unwrap();
     for index in 0..6u8 {
@@ -85,7 +88,10 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     .unwrap();
     let (field, warnings) = open(folder.path(), &GeometryFlags::default(), &defaults());
     assert_eq!(label(&field.unwrap(), [1, 2]), [2, 1]);
-    assert!(warnings.iter().any(|w| w.contains("the cameras' own angles are 0.9° × 0.6°")), "{warnings:?}");
+    assert!(
+        warnings.iter().any(|w| w.contains("the cameras of the views were spread over 0.9° × 0.6°")),
+        "{warnings:?}"
+    );
     // Without a default angle, the slopes follow from the cameras: they are 50 mm apart, at a
     // distance of 10 m. The viewing distance is the light field's width · focal length / sensor
     // width.

@@ -89,7 +89,7 @@ fn files_that_an_index_names_are_regular_and_inside() {
     std::fs::copy(&view, &elsewhere).unwrap();
     let error = replace(&elsewhere);
     assert!(
-        error.contains("views[0].file: expected a name inside the folder, found view_00_00.exr: it leads to"),
+        error.contains("views[0].file: expected a name inside the folder, found view_00_00.exr: the path leads to"),
         "{error}"
     );
     let error = replace(Path::new("/dev/zero"));
@@ -106,7 +106,7 @@ fn files_that_an_index_names_are_regular_and_inside() {
     std::fs::rename(&layer, outer.path().join("layer.npy")).unwrap();
     symlink(outer.path().join("layer.npy"), &layer).unwrap();
     let error = read_stack(&layers).unwrap_err().to_string();
-    assert!(error.contains("file: expected a name inside the folder, found layer_0.npy: it leads to"), "{error}");
+    assert!(error.contains("file: expected a name inside the folder, found layer_0.npy: the path leads to"), "{error}");
     for name in ["zero.npy", "zero.exr", "zero_qs2x2.png", "lightfield.json"] {
         let path = outer.path().join(name);
         symlink("/dev/zero", &path).unwrap();
@@ -218,7 +218,11 @@ fn indices_that_contradict_themselves_name_the_key() {
         ("/slope_x", "[0.0]", "views: expected 1 × 1 views, one per slope, found 2"),
         ("/slope_x", "[]", "1 to 16384 views per axis, found 0 × 1"),
         ("/slope_x/0", "1e999", "number out of range"),
-        ("/views/1/view", "[0, 2]", "views[1].view: expected [view_y, view_x] below [1, 2], found [0, 2]"),
+        (
+            "/views/1/view",
+            "[0, 2]",
+            "views[1].view: expected a view [view_y, view_x] with view_y below 1 and view_x below 2, found [0, 2]",
+        ),
         ("/views/1/view", "[0, 0]", "views[1].slope: expected slope"),
         ("/views/1/slope", "[0.5, 0.0]", "views[1].slope: expected slope"),
         ("/views/1/eye_mm", "[0.5, 0.0, 500]", "views[1].eye_mm: expected slope"),
@@ -250,8 +254,11 @@ fn views_of_different_sizes_name_both_files() {
         save_png(&folder.path().join(name), size, |_, _| [9; 3]);
     }
     let error = plain_error(folder.path());
-    assert!(error.starts_with("views of different sizes: ") && error.contains("00_00.png has 8 × 6 pixels"), "{error}");
-    assert!(error.ends_with("00_02.png has 8 × 7"), "{error}");
+    assert!(
+        error.starts_with("expected views of one size, found ") && error.contains("00_00.png with 8 × 6 pixels"),
+        "{error}"
+    );
+    assert!(error.ends_with("00_02.png with 8 × 7 pixels"), "{error}");
 }
 
 #[test]
@@ -279,7 +286,7 @@ fn incomplete_and_doubtful_folders_are_errors() {
     }
     assert!(
         plain_error(folder.path())
-            .ends_with("expected num_cams_x and num_cams_y in parameters.cfg, found 3 pictures without these numbers")
+            .ends_with("expected num_cams_x and num_cams_y in parameters.cfg, found 3 pictures, which make no square, and no num_cams_x and num_cams_y")
     );
     fs::write(folder.path().join("parameters.cfg"), "[extrinsics]\nnum_cams_x = 3\nnum_cams_y = 1\n").unwrap();
     assert!(plain_error(folder.path()).ends_with("expected input_Cam000 to input_Cam002, found no input_Cam002"));
@@ -297,18 +304,19 @@ fn missing_geometry_names_the_flag() {
     let none = GeometryDefaults::default();
     let flags = GeometryFlags::default();
     assert!(
-        error_of(&path, &flags, &none)
-            .ends_with("the size of its pixels is not known: give --pitch-mm, for example --pitch-mm 0.5")
+        error_of(&path, &flags, &none).ends_with(
+            "the size of the pixels is unknown; state the value with --pitch-mm, for example --pitch-mm 0.5"
+        )
     );
     let flags = GeometryFlags { pitch_mm: Some(0.5), ..flags };
     assert!(
         error_of(&path, &flags, &none)
-            .ends_with("the full angle of its views is not known: give --fov, for example --fov 20x20")
+            .ends_with("the full angle of the views is unknown; state the value with --fov, for example --fov 20x20")
     );
     let flags = GeometryFlags { fov_deg: Some([20.0; 2]), grid: Some(ProjectionKind::Perspective), ..flags };
     assert!(
         error_of(&path, &flags, &none)
-            .contains("viewing distance of its perspective views is not known: give --distance-mm")
+            .contains("viewing distance of the perspective views is unknown; state the value with --distance-mm")
     );
     let flags = GeometryFlags { distance_mm: Some(600.0), ..flags };
     let field = open(&path, &flags, &none).0.unwrap();
@@ -336,11 +344,11 @@ fn missing_geometry_names_the_flag() {
 
     let picture = folder.path().join("plain.png");
     save_png(&picture, [8, 8], |_, _| [9; 3]);
-    assert!(plain_error(&picture).contains("give --quilt COLUMNSxROWS"));
+    assert!(plain_error(&picture).contains("state the value with --quilt COLUMNSxROWS"));
     let flags = GeometryFlags { tiles: Some([3, 2]), ..GeometryFlags::default() };
     assert!(
         error_of(&picture, &flags, &defaults())
-            .ends_with("--tiles: expected a size that 3 × 2 tiles divide, found 8 × 8")
+            .ends_with("--tiles: expected a picture whose width is a multiple of 3 pixels and whose height is a multiple of 2 pixels, found 8 × 8")
     );
     let flags = GeometryFlags { quilt: Some([9, 1]), ..GeometryFlags::default() };
     assert!(
@@ -391,7 +399,7 @@ fn values_that_are_no_light_are_refused_and_odd_ones_reported() {
     let (field, warnings) = open(&path, &GeometryFlags::default(), &defaults());
     assert_eq!(field.unwrap().radiance().get([0, 1, 1, 1, 2]), 0.0);
     assert!(
-        warnings.iter().any(|w| w.ends_with("negative values are taken as 0 (count: 1, lowest: -0.25)")),
+        warnings.iter().any(|w| w.ends_with("negative values, which are set to 0: 1; the lowest value is -0.25")),
         "{warnings:?}"
     );
     // only outputs report values above 1, since a light field may be brighter than a display

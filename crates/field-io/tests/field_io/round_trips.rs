@@ -295,7 +295,7 @@ fn a_stack_that_was_tampered_with_is_refused() {
     npy::write(&folder.path().join("layer_1.npy"), &[2, 2, 3, 3], &[1.5; 36]).unwrap();
     let error = read_stack(folder.path()).unwrap_err().to_string();
     assert!(
-        error.ends_with("layer_1.npy: value 0 in row-major order: expected a number in 0..1, found 1.5"),
+        error.ends_with("layer_1.npy: value 0 in row-major order: expected a number from 0 to 1, found 1.5"),
         "{error}"
     );
 }

@@ -161,6 +161,6 @@ impl Packed<'_> {
             Self::Spz { .. } => "a sound SPZ stream",
             Self::Capture(..) => "a sound file of splats",
         };
-        Unsound::new(expected, "bytes on which its decoder stops")
+        Unsound::new(expected, "data at which the decoder stops")
     }
 }

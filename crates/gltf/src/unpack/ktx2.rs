@@ -60,7 +60,7 @@ pub(super) fn size(bytes: &[u8]) -> Result<[u32; 2], Unsound> {
 #[cfg(not(feature = "ktx2"))]
 pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
     Header::read(bytes)?;
-    Err(Unsound::new("a PNG, JPEG or WebP picture, since this build reads no others", "KTX2"))
+    Err(Unsound::new("a PNG, JPEG or WebP picture, since this build cannot read KTX2", "KTX2"))
 }
 
 /// Decodes the largest level of a picture.
@@ -91,7 +91,7 @@ impl Header {
     /// states.
     fn read(bytes: &[u8]) -> Result<Self, Unsound> {
         let fault = |expected: &str, found: String| Err(Unsound::new(format!("a KTX2 picture with {expected}"), found));
-        let truncated = || Unsound::new("a whole KTX2 file", format!("{} bytes", bytes.len()));
+        let truncated = || Unsound::new("a whole KTX2 file", format!("a file that ends after {} bytes", bytes.len()));
         let word = |at: usize| -> Result<u32, Unsound> {
             let found = bytes.get(at..).and_then(|tail| tail.first_chunk());
             found.map(|&word| u32::from_le_bytes(word)).ok_or_else(truncated)
@@ -111,7 +111,7 @@ impl Header {
             return fault(&format!("1 to {MAX_SIDE} texels a side"), format!("{width} × {height}"));
         }
         if depth != 0 || layers > 1 || faces != 1 || !(1..=16).contains(&levels) {
-            let found = format!("depth {depth}, {layers} layers, {faces} faces and {levels} levels");
+            let found = format!("depth {depth}, layers: {layers}, faces: {faces}, levels: {levels}");
             return fault("depth 0, 0 or 1 layers, 1 face and 1 to 16 levels", found);
         }
         // check that offsets and lengths are within the file

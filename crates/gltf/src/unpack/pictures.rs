@@ -78,11 +78,13 @@ fn open(opener: Opener, usage: Use, bytes: &[u8]) -> Result<(ImageFormat, Box<dy
         Use::Texture => &TEXTURES[..],
         Use::Environment => &ENVIRONMENTS[..],
     };
-    let names: Vec<String> = formats.iter().map(|format| format!("{format:?}")).collect();
-    let expected = format!("a picture in the format {} (a texture may also be KTX2)", names.join(" or "));
+    let expected = match usage {
+        Use::Texture => "a PNG, JPEG, WebP or KTX2 picture",
+        Use::Environment => "a Radiance HDR picture",
+    };
     let format = match image::guess_format(bytes) {
         Ok(format) if formats.contains(&format) => format,
-        Ok(format) => return Err(Unsound::new(expected, format!("{format:?}"))),
+        Ok(format) => return Err(Unsound::new(expected, name(format))),
         Err(_) => {
             let start = bytes[..bytes.len().min(12)].escape_ascii();
             return Err(Unsound::new(expected, format!("{} bytes that start \"{start}\"", bytes.len())));
@@ -95,7 +97,7 @@ fn open(opener: Opener, usage: Use, bytes: &[u8]) -> Result<(ImageFormat, Box<dy
     let (width, height) = decoder.dimensions();
     if width > MAX_SIDE || height > MAX_SIDE {
         let expected = format!("at most {MAX_SIDE} texels a side");
-        return Err(Unsound::new(expected, format!("{width} × {height} texels of {:?}", decoder.color_type())));
+        return Err(Unsound::new(expected, format!("{width} × {height} texels")));
     }
     // the caller has counted the texels; the decoder may hold them twice, besides rows and tables
     limits.max_alloc = Some(decoder.total_bytes().saturating_mul(2).saturating_add(DECODER_BYTES));
@@ -103,8 +105,17 @@ fn open(opener: Opener, usage: Use, bytes: &[u8]) -> Result<(ImageFormat, Box<dy
     Ok((format, decoder))
 }
 
+/// Returns the name of a format, for messages.
+fn name(format: ImageFormat) -> String {
+    match format {
+        ImageFormat::Hdr => "Radiance HDR".to_owned(),
+        ImageFormat::WebP => "WebP".to_owned(),
+        other => format!("{other:?}").to_uppercase(),
+    }
+}
+
 fn unreadable(format: ImageFormat, error: ImageError) -> Unsound {
-    Unsound::new(format!("a readable {format:?} picture of at most {MAX_SIDE} texels a side"), error)
+    Unsound::new(format!("a readable {} picture of at most {MAX_SIDE} texels a side", name(format)), error)
 }
 
 /// Returns true if the codes have 16 bits.

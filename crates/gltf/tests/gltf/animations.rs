@@ -241,7 +241,7 @@ fn without_a_choice_animations_that_do_not_conflict_play_together() {
     let options = LoadOptions { time_s: Some(0.0), ..LoadOptions::default() };
     let (scene, warnings) = load_choosing(&several(3).glb(), &options);
     assert_eq!([0, 1].map(|i| placed(scene.as_ref().unwrap(), i, Vec3::ZERO).x), [1.0, 0.0]);
-    let expected = "test.gltf: /animations: two or more animations move the same property of a node; only the first animation of the file is played (0 (Hop), 1 (Jump), 2 (Leap))";
+    let expected = "test.gltf: /animations: two or more animations move the same property of a node; only the first of the file's animations is played. The animations are 0 (Hop), 1 (Jump), 2 (Leap)";
     assert_eq!(warnings, [expected]);
     // a time for a file without animations causes a warning
     let (_, warnings) = load_choosing(&Builder::triangle().glb(), &options);

@@ -530,7 +530,10 @@ fn samples_that_overflow_are_counted_and_left_out() {
     let (image, warnings) =
         render_view(&scene.renderer(), &window(), &one_view(8, [0.0, 0.0]), [0, 0], &Settings::default());
     assert!(image.data().iter().all(|v| v.is_finite()));
-    assert!(warnings.iter().any(|w| w.message.contains("samples that are not finite numbers")), "{warnings:?}");
+    assert!(
+        warnings.iter().any(|w| w.message.contains("samples that are left out, since they are not finite numbers")),
+        "{warnings:?}"
+    );
 }
 
 #[test]
@@ -576,7 +579,9 @@ fn a_clamp_is_reported() {
     assert!((dimmed.data()[0] - 1.0).abs() < 1e-5 && (dimmed.data()[2] - 0.25).abs() < 1e-5, "the colour stays");
     let [warning] = warnings.as_slice() else { panic!("{warnings:?}") };
     assert!(
-        warning.to_string().contains("the clamp limit 1 dims 256 of 256 samples, which removes 75.000 % of the light"),
+        warning
+            .to_string()
+            .contains("the limit of clamp, 1, dims 256 of 256 samples, which removes 75.000 % of the light"),
         "{warning}"
     );
 }

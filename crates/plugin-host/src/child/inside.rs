@@ -43,14 +43,14 @@ const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 pub fn plugin_child(args: &[OsString]) -> u8 {
     let [library, id] = args else {
         eprintln!(
-            "error: expected the path of a library and the id of a plugin; this command is for the program itself"
+            "error: expected the path of a library and the id of a plugin, found other arguments; only lumistack itself uses this command"
         );
         return 2;
     };
     match serve(Path::new(library), &id.to_string_lossy()) {
         Ok(()) => 0,
         Err(error) => {
-            eprintln!("error: {}: the program that started this process cannot be reached: {error}", library.display());
+            eprintln!("error: {}: no connection to the program that started this process: {error}", library.display());
             1
         }
     }

@@ -119,7 +119,7 @@ unsafe impl Functions for Remote {
         // SAFETY: guaranteed by the caller, here and in the other functions.
         unsafe {
             let (params, file) = (text(params_json), text(file));
-            let doing = format!("it read `{file}`");
+            let doing = format!("the plugin read `{file}`");
             let lent = Lent { assets, scene, ..Lent::nothing() };
             self.once(host, lent, Call::Import { params, file }, &doing, error)
         }
@@ -138,7 +138,7 @@ unsafe impl Functions for Remote {
         unsafe {
             let lent = Lent { field, ..Lent::nothing() };
             let what = Call::MakeField { params: text(params_json), display: text(display_json), time: time_of(time) };
-            self.once(host, lent, what, "it made a light field", error)
+            self.once(host, lent, what, "the plugin made a light field", error)
         }
     }
 
@@ -157,7 +157,7 @@ unsafe impl Functions for Remote {
             let lent = Lent { data, stack, ..Lent::nothing() };
             let (params, display) = (text(params_json), text(display_json));
             let what = Call::MakeStack { params, display, time: time_of(time), data: data_of(data) };
-            self.once(host, lent, what, "it made a layer stack", error)
+            self.once(host, lent, what, "the plugin made a layer stack", error)
         }
     }
 
@@ -177,7 +177,7 @@ unsafe impl Functions for Remote {
             };
             let (params, display) = (text(params_json), text(display_json));
             let what = Call::Open { params, display, port: (*host).port };
-            let status = owner.call(host, Lent::nothing(), what, "it was opened", error);
+            let status = owner.call(host, Lent::nothing(), what, "the plugin was opened", error);
             if status == Status::OK {
                 *instance = Box::into_raw(Box::new(Opened { owner, host })).cast();
             }
@@ -197,7 +197,7 @@ unsafe impl Functions for Remote {
             let opened = &*instance.cast::<Opened>();
             let lent = Lent { data, ..Lent::nothing() };
             let what = Call::Submit { time: time_of(time), data: data_of(data) };
-            let doing = format!("it took time step {}", (*time).index);
+            let doing = format!("the plugin processed time step {}", (*time).index);
             opened.owner.call(opened.host, lent, what, &doing, error)
         }
     }
@@ -206,7 +206,7 @@ unsafe impl Functions for Remote {
         // SAFETY: as in `submit`.
         unsafe {
             let opened = &*instance.cast::<Opened>();
-            opened.owner.call(opened.host, Lent::nothing(), Call::Run, "it presented", error)
+            opened.owner.call(opened.host, Lent::nothing(), Call::Run, "the plugin presented", error)
         }
     }
 
@@ -215,7 +215,7 @@ unsafe impl Functions for Remote {
         unsafe {
             let opened = &*instance.cast::<Opened>();
             let what = Call::Command { json: text(command_json) };
-            opened.owner.call(opened.host, Lent::nothing(), what, "it took a command", error)
+            opened.owner.call(opened.host, Lent::nothing(), what, "the plugin executed a command", error)
         }
     }
 
@@ -223,7 +223,7 @@ unsafe impl Functions for Remote {
         // SAFETY: as in `submit`.
         unsafe {
             let opened = &*instance.cast::<Opened>();
-            opened.owner.call(opened.host, Lent::nothing(), Call::Finish, "it finished", error)
+            opened.owner.call(opened.host, Lent::nothing(), Call::Finish, "the plugin finished", error)
         }
     }
 
@@ -237,7 +237,7 @@ unsafe impl Functions for Remote {
                 return;
             }
             let mut reason = String::new();
-            let status = owner.call(host, Lent::nothing(), Call::Close, "it was closed", &keeping(&mut reason));
+            let status = owner.call(host, Lent::nothing(), Call::Close, "the plugin was closed", &keeping(&mut reason));
             if status == Status::FAILED {
                 ((*host).log)((*host).context, level::WARN, Str::new(&reason));
             }

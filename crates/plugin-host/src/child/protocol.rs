@@ -202,8 +202,8 @@ pub(super) enum Say {
 pub(super) fn write_frame(to: &mut impl Write, head: &impl Serialize, body: &[u8]) -> io::Result<()> {
     let head = serde_json::to_vec(head)?;
     let length = u32::try_from(head.len()).ok().filter(|length| *length <= MAX_HEAD);
-    let length =
-        length.ok_or_else(|| io::Error::other("expected a message head of at most 64 MiB, found a longer one"))?;
+    let length = length
+        .ok_or_else(|| io::Error::other("expected a message head of at most 64 MiB, found a longer message head"))?;
     let mut start = Vec::with_capacity(12 + head.len());
     start.extend(length.to_le_bytes());
     start.extend((body.len() as u64).to_le_bytes());

@@ -226,7 +226,8 @@ impl Lending {
 }
 
 /// The error if the plugin uses an object after the call to which it was lent has returned.
-const CALL_RETURNED: &str = "this object was lent to a call that has returned";
+const CALL_RETURNED: &str =
+    "the plugin used an object that the host had lent to a call, but the call has already returned";
 
 /// Forwards a notification to the host.
 ///

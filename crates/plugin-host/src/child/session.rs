@@ -68,7 +68,7 @@ impl Owner {
         #[cfg(windows)]
         std::os::windows::process::CommandExt::creation_flags(&mut command, CREATE_NEW_PROCESS_GROUP);
         let mut child = command.spawn().map_err(|error| {
-            Stopped::Died(format!("cannot start a process for this library: {}: {error}", program.display()))
+            Stopped::Died(format!("cannot start the plugin's process: {}: {error}", program.display()))
         })?;
         let (input, output, errors) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
         let (Some(mut input), Some(mut output), Some(errors)) = (input, output, errors) else {
@@ -109,7 +109,7 @@ impl Owner {
         let listener = session.clone();
         thread::spawn(move || listener.forward_prints(errors));
         let owner = Self(session);
-        let loaded = owner.wait(&waits, "it was loaded", limits.load, cancelled)?;
+        let loaded = owner.wait(&waits, "the library was loaded", limits.load, cancelled)?;
         Ok((owner, loaded))
     }
 }
@@ -266,7 +266,7 @@ impl Session {
                 self.kill();
                 let (seconds, printed) = (silence.as_secs_f64(), self.last_printed());
                 return Err(Stopped::Died(format!(
-                    "its process ({}) gave no sign of life for {seconds:.0} s while {doing}, and was ended{printed}",
+                    "the plugin's process ({}) gave no sign of life for {seconds:.0} s while {doing}, and was ended{printed}",
                     self.library
                 )));
             }
@@ -281,7 +281,7 @@ impl Session {
         if files.len() > MAX_FILES {
             names.push(format!("{} more", files.len() - MAX_FILES));
         }
-        if names.is_empty() { call.into() } else { format!("it wrote {}", names.join(", ")) }
+        if names.is_empty() { call.into() } else { format!("the plugin wrote {}", names.join(", ")) }
     }
 
     /// Waits for the exit status of a child that has ended or closed its connection, and returns
@@ -299,7 +299,7 @@ impl Session {
         };
         self.kill();
         let cause = status.map_or_else(|| "broke off its connection to the program".into(), cause_of);
-        Stopped::Died(format!("its process ({}) {cause} while {doing}{}", self.library, self.last_printed()))
+        Stopped::Died(format!("the plugin's process ({}) {cause} while {doing}{}", self.library, self.last_printed()))
     }
 
     /// Returns the last line that the plugin printed, for error messages. Waits until all prints
@@ -312,7 +312,7 @@ impl Session {
         let printed = locked(&self.printed);
         let printed = String::from_utf8_lossy(&printed.0);
         let line = printed.lines().map(str::trim).rfind(|line| !line.is_empty());
-        line.map_or_else(String::new, |line| format!("; the last line it printed: {line}"))
+        line.map_or_else(String::new, |line| format!("; the last line that the process printed: {line}"))
     }
 
     /// Kills the child and its process group.

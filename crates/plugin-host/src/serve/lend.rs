@@ -211,7 +211,7 @@ unsafe extern "C" fn emission_plane(
         let stack = (unsafe { lent(context) }).patterns("emission")?;
         let Some(emission) = &stack.emission else {
             return Err(PluginError::Refused(
-                "expected a directional backlight, found a uniform backlight, which has no emission".into(),
+                "expected a request for masks, since the backlight is uniform, found a request for the backlight's emission".into(),
             ));
         };
         let [frames, bins_y, bins_x, rows, cols, channels] = emission.shape();

@@ -150,9 +150,9 @@ pub fn make_stack<S: Services>(
     all_given(&given_bins, |i| {
         format!("emission of frame {}, bin {}, {}", i / (bins[0] * bins[1]), i / bins[1] % bins[0], i % bins[1])
     })?;
-    made.stack
-        .check(display)
-        .map_err(|error| PluginError::Failed(format!("the plugin made a wrong stack: {error}")))?;
+    made.stack.check(display).map_err(|error| {
+        PluginError::Failed(format!("the plugin made a layer stack that does not fit the display: {error}"))
+    })?;
     Ok(made)
 }
 
@@ -209,7 +209,7 @@ unsafe extern "C" fn field_geometry(context: *mut c_void, geometry_json: Str, er
         let shape = LightField::shape_of(&geometry);
         if Tensor::<5>::element_count(shape).is_none_or(|count| count > MAX_VALUES) {
             return Err(PluginError::Refused(format!(
-                "a light field of shape {shape:?} is too large: expected at most 2^32 values"
+                "expected a light field of at most 2^32 values, found the shape {shape:?}"
             )));
         }
         let views = shape[0] * shape[1];
@@ -238,7 +238,7 @@ unsafe extern "C" fn field_view(
         let [views_y, views_x, rows, cols, channels] = field.radiance().shape();
         if view_y >= views_y || view_x >= views_x {
             return Err(PluginError::Refused(format!(
-                "{}: expected a view row less than {views_y} and a view column less than {views_x}",
+                "{}: expected a row below {views_y} and a column below {views_x}",
                 what()
             )));
         }
@@ -280,11 +280,7 @@ unsafe extern "C" fn stack_layer(
         let Stack { made: Made { stack, .. }, frames, given_layers, .. } = &mut *built;
         let what = || format!("layer {layer}, frame {frame}");
         if layer >= stack.layers.len() || frame >= *frames {
-            let text = format!(
-                "{}: expected a layer index less than {} and a frame index less than {frames}",
-                what(),
-                stack.layers.len()
-            );
+            let text = format!("{}: expected a layer below {} and a frame below {frames}", what(), stack.layers.len());
             return Err(PluginError::Refused(text));
         }
         let [_, rows, cols, channels] = stack.layers[layer].shape();
@@ -313,12 +309,12 @@ unsafe extern "C" fn stack_emission(
         let what = || format!("emission of frame {frame}, bin {bin_y}, {bin_x}");
         let Some(emission) = &mut stack.emission else {
             return Err(PluginError::Refused(
-                "expected a directional backlight, found a uniform backlight, which takes no emission".into(),
+                "expected no emission, since the display's backlight is uniform, found an emission".into(),
             ));
         };
         if frame >= *frames || bin_y >= bins[0] || bin_x >= bins[1] {
             return Err(PluginError::Refused(format!(
-                "{}: expected a frame index less than {frames} and bin indices less than {bins:?}",
+                "{}: expected a frame below {frames} and a bin [y, x] below {bins:?}",
                 what()
             )));
         }

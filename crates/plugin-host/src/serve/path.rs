@@ -33,8 +33,8 @@ pub fn path_parts(path: &str) -> Result<Vec<&str>, PluginError> {
     } else {
         let (shown, rest) = path.split_at(path.floor_char_boundary(80));
         Err(PluginError::Refused(format!(
-            "file `{}{}`: expected a path inside the output's folder; it must not have `..`, a leading `/`, a name that starts with a dot, or \
-                         names, characters or lengths that some system refuses",
+            "file `{}{}`: expected a path inside the output's folder, found a path with `..`, a leading `/`, a name that starts with a dot, or \
+                         a name, character or length that some system refuses",
             shown.escape_debug(),
             if rest.is_empty() { "" } else { "…" }
         )))

@@ -111,7 +111,7 @@ impl Plugin {
                 "the plugin must be rebuilt"
             };
             return Err(PluginError::Refused(format!(
-                "built for version {major}.{minor} of the plugin interface (ABI), but this program has {ABI_MAJOR}.{ABI_MINOR}: {remedy}"
+                "expected a plugin for version {ABI_MAJOR}.{ABI_MINOR} of the plugin interface (ABI), found a plugin for version {major}.{minor}: {remedy}"
             )));
         }
         if size < size_of::<Descriptor>() {
@@ -180,7 +180,7 @@ impl Plugin {
     /// Returns the plugin's functions if the plugin is of the kind `wanted`, otherwise an error.
     pub(crate) fn of_kind(&self, wanted: PluginKind) -> Result<&Arc<dyn Functions>, PluginError> {
         if self.info.kind != wanted {
-            let text = format!("`{}` is no {} but {}", self.info.id, wanted.name(), self.info.kind);
+            let text = format!("plugin `{}`: expected {wanted}, found {}", self.info.id, self.info.kind);
             return Err(PluginError::Refused(text));
         }
         Ok(&self.functions)
@@ -209,7 +209,7 @@ impl fmt::Debug for Plugin {
 /// The descriptor's `vtable` is null, or points to the table of functions of its kind. The table
 /// has at least as many bytes as its `size`, and lives as long as the process.
 unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), String> {
-    let missing = |kind: PluginKind| format!("a function of {kind} is missing");
+    let missing = |kind: PluginKind| format!("expected all functions of {kind}, found a table that lacks one");
     let table = descriptor.vtable;
     // SAFETY: every table starts with its size.
     let size = if table.is_null() { 0 } else { unsafe { *table.cast::<usize>() } };

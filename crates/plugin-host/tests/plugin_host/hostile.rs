@@ -97,25 +97,29 @@ impl Bench {
 
 /// Returns the expected message if the process ended by `cause` during the operation `doing`.
 fn message(cause: &str, doing: &str) -> String {
-    format!("output `hostile` failed: its process ({}) {cause} while {doing}", common::file_name("hostile"))
+    format!("output `hostile` failed: the plugin's process ({}) {cause} while {doing}", common::file_name("hostile"))
 }
 
 #[test]
 fn the_cause_of_a_crash_is_named_and_the_other_outputs_are_written() {
     let bench = Bench::new();
     for (fault, cause, doing) in [
-        ("submit:abort", "ended by signal 6 (abort)", "it wrote `a.txt`"),
-        ("submit:segfault", "ended by signal 11 (segmentation fault)", "it wrote `a.txt`"),
-        ("submit:kill", "ended by signal 9 (kill; the system may have run out of memory)", "it wrote `a.txt`"),
-        ("submit:exit", "ended itself with exit code 0", "it wrote `a.txt`"),
-        ("before:abort", "ended by signal 6 (abort)", "it took time step 0"),
-        ("open:segfault", "ended by signal 11 (segmentation fault)", "it was opened"),
-        ("open:exit", "ended itself with exit code 0", "it was opened"),
-        ("finish:abort", "ended by signal 6 (abort)", "it finished"),
-        ("submit:say and abort", "ended by signal 6 (abort)", "it wrote `a.txt`; the last line it printed: out of ink"),
-        ("submit:scribble", "broke off its connection to the program", "it wrote `a.txt`"),
-        ("submit:close all", "broke off its connection to the program", "it wrote `a.txt`"),
-        ("submit:fork and abort", "ended by signal 6 (abort)", "it wrote `a.txt`"),
+        ("submit:abort", "ended by signal 6 (abort)", "the plugin wrote `a.txt`"),
+        ("submit:segfault", "ended by signal 11 (segmentation fault)", "the plugin wrote `a.txt`"),
+        ("submit:kill", "ended by signal 9 (kill; the system may have run out of memory)", "the plugin wrote `a.txt`"),
+        ("submit:exit", "ended itself with exit code 0", "the plugin wrote `a.txt`"),
+        ("before:abort", "ended by signal 6 (abort)", "the plugin processed time step 0"),
+        ("open:segfault", "ended by signal 11 (segmentation fault)", "the plugin was opened"),
+        ("open:exit", "ended itself with exit code 0", "the plugin was opened"),
+        ("finish:abort", "ended by signal 6 (abort)", "the plugin finished"),
+        (
+            "submit:say and abort",
+            "ended by signal 6 (abort)",
+            "the plugin wrote `a.txt`; the last line that the process printed: out of ink",
+        ),
+        ("submit:scribble", "broke off its connection to the program", "the plugin wrote `a.txt`"),
+        ("submit:close all", "broke off its connection to the program", "the plugin wrote `a.txt`"),
+        ("submit:fork and abort", "ended by signal 6 (abort)", "the plugin wrote `a.txt`"),
     ] {
         let error = bench.write(fault).unwrap_err().to_string();
         assert_eq!(error, message(cause, doing), "{fault}");
@@ -132,7 +136,7 @@ fn an_overflow_of_the_stack_is_reported() {
         // A stack overflow is reported by Rust's guard page as an abort, or by the system as a
         // segmentation fault.
         assert!(error.contains("ended by signal 6 (abort)") || error.contains("ended by signal 11"), "{error}");
-        assert!(error.starts_with("output `hostile` failed: its process ("), "{error}");
+        assert!(error.starts_with("output `hostile` failed: the plugin's process ("), "{error}");
         bench.others_work(fault);
     }
 }
@@ -141,10 +145,10 @@ fn an_overflow_of_the_stack_is_reported() {
 fn a_plugin_that_hangs_is_ended() {
     let bench = Bench::new();
     for (fault, doing) in [
-        ("submit:hang", "it wrote `a.txt`"),
-        ("submit:spin", "it wrote `a.txt`"),
-        ("open:hang", "it was opened"),
-        ("finish:hang", "it finished"),
+        ("submit:hang", "the plugin wrote `a.txt`"),
+        ("submit:spin", "the plugin wrote `a.txt`"),
+        ("open:hang", "the plugin was opened"),
+        ("finish:hang", "the plugin finished"),
     ] {
         let start = Instant::now();
         let error = bench.write(fault).unwrap_err().to_string();
@@ -179,7 +183,9 @@ fn a_crash_after_the_last_file_is_a_warning() {
     assert!(bench.out().join("a.txt").is_file());
     let warnings: Vec<String> = bench.warnings.take().iter().map(ToString::to_string).collect();
     let library = common::file_name("hostile");
-    let expected = format!("output `hostile`: its process ({library}) ended by signal 6 (abort) while it was closed");
+    let expected = format!(
+        "output `hostile`: the plugin's process ({library}) ended by signal 6 (abort) while the plugin was closed"
+    );
     assert_eq!(warnings, [expected]);
 }
 
@@ -206,11 +212,11 @@ fn the_user_can_stop_a_plugin_that_does_not_listen() {
 fn libraries_that_misbehave_while_they_are_loaded_are_listed_with_the_cause() {
     let folder = tempfile::tempdir().unwrap();
     let causes = BTreeMap::from([
-        ("aborts", ("abort", "ended by signal 6 (abort) while it was loaded")),
-        ("crashes", ("segfault", "ended by signal 11 (segmentation fault) while it was loaded")),
-        ("exits", ("exit", "ended itself with exit code 0 while it was loaded")),
-        ("hangs", ("hang", "gave no sign of life for 5 s while it was loaded, and was ended")),
-        ("scribbles", ("scribble", "broke off its connection to the program while it was loaded")),
+        ("aborts", ("abort", "ended by signal 6 (abort) while the library was loaded")),
+        ("crashes", ("segfault", "ended by signal 11 (segmentation fault) while the library was loaded")),
+        ("exits", ("exit", "ended itself with exit code 0 while the library was loaded")),
+        ("hangs", ("hang", "gave no sign of life for 5 s while the library was loaded, and was ended")),
+        ("scribbles", ("scribble", "broke off its connection to the program while the library was loaded")),
     ]);
     for (id, (fault, _)) in &causes {
         hostile(folder.path(), id, "OUTPUT", fault);
@@ -220,7 +226,7 @@ fn libraries_that_misbehave_while_they_are_loaded_are_listed_with_the_cause() {
     // The error for a requested plugin must state the cause. The request must load no other plugin.
     let error = registry.get("aborts").unwrap_err().to_string();
     let library = |id: &str| folder.path().join(common::file_name(id)).display().to_string();
-    let told = |id: &str| format!("{}: its process ({}) {}", library(id), common::file_name(id), causes[id].1);
+    let told = |id: &str| format!("{}: the plugin's process ({}) {}", library(id), common::file_name(id), causes[id].1);
     assert_eq!(error, format!("plugin `aborts` cannot be used: {}", told("aborts")));
     assert_eq!(registry.failed().len(), 1);
     let found: Vec<&str> = registry.infos().map(|info| info.id.as_str()).collect();
@@ -253,13 +259,13 @@ fn plugins_of_the_other_kinds_are_named_as_well() {
         let source = make_field(&registry, "h_source", &params, display, Time::default(), task).map(drop);
         let node = make_stack(&registry, "h_node", &params, &NodeData::new(display, &field), task).map(drop);
         for (result, kind, doing) in [
-            (importer, "importer", "it read `a.hostile`"),
-            (source, "source", "it made a light field"),
-            (node, "node", "it made a layer stack"),
+            (importer, "importer", "the plugin read `a.hostile`"),
+            (source, "source", "the plugin made a light field"),
+            (node, "node", "the plugin made a layer stack"),
         ] {
             let error = result.unwrap_err().to_string();
             let library = common::file_name(&format!("h_{kind}"));
-            let expected = format!("{kind} `h_{kind}` failed: its process ({library}) {cause} {doing}");
+            let expected = format!("{kind} `h_{kind}` failed: the plugin's process ({library}) {cause} {doing}");
             assert!(error.starts_with(&expected), "{error}");
         }
     }
@@ -364,10 +370,10 @@ fn a_program_that_cannot_be_started_is_named() {
     };
     let nothing = lumistack_plugin_host::Launcher { program: "/no/such/program".into(), args: Vec::new() };
     let error = load(Some(nothing));
-    assert!(error.contains("cannot start a process for this library: /no/such/program: "), "{error}");
-    assert!(load(None).contains("cannot start a process for this library: the program has set no launcher"));
+    assert!(error.contains("cannot start the plugin's process: /no/such/program: "), "{error}");
+    assert!(load(None).contains("found a program without a launcher"));
     // Use a launcher whose program does not run plugins.
     let other = lumistack_plugin_host::Launcher { program: "echo".into(), args: Vec::new() };
     let error = load(Some(other));
-    assert!(error.contains("ended itself with exit code 0 while it was loaded"), "{error}");
+    assert!(error.contains("ended itself with exit code 0 while the library was loaded"), "{error}");
 }

@@ -70,8 +70,8 @@ fn pe_header() -> Vec<u8> {
 fn files_that_are_no_libraries_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let at = |id: &str, bytes: &[u8]| failure(&write(folder.path(), id, bytes));
-    assert_eq!(at("text", b"#!/bin/sh\necho no\n"), "expected a shared library, found a file that is not a library");
-    assert_eq!(at("empty", b""), "expected a shared library, found a file that is not a library");
+    assert_eq!(at("text", b"#!/bin/sh\necho no\n"), "expected a shared library, found a file of another kind");
+    assert_eq!(at("empty", b""), "expected a shared library, found a file of another kind");
     let mut cut_off = if cfg!(windows) { pe_header() } else { b"\x7fELF\x02\x01\x01 cut off here".to_vec() };
     if cfg!(windows) {
         // the header states one section, which is missing
@@ -93,11 +93,11 @@ fn libraries_for_other_machines_are_recognized() {
     let here = std::env::consts::ARCH;
     for (number, name) in ELF_MACHINES.iter().filter(|(_, name)| !here.starts_with(name)) {
         let message = failure(&write(folder.path(), "other", &elf_header(*number)));
-        let expected = format!("expected a library for {here} (elf), found one for {name}");
+        let expected = format!("expected a library for {here} (elf), found a library for {name}");
         assert!(message.starts_with(&expected), "{message}");
     }
     let message = failure(&write(folder.path(), "windows", &pe_header()));
-    assert_eq!(message, format!("expected a library for {here} (elf), found one for x86_64 (pe)"));
+    assert_eq!(message, format!("expected a library for {here} (elf), found a library for x86_64 (pe)"));
     // A library for this machine that has only a header exports no functions.
     let mine = ELF_MACHINES.iter().find(|(_, name)| here.starts_with(name));
     if let Some((number, _)) = mine {
@@ -107,10 +107,7 @@ fn libraries_for_other_machines_are_recognized() {
     // A program is no library, even if it is for this machine.
     let program = folder.path().join(file_name("program"));
     compile(&["-no-pie", "-o"], &program, "int main(void) { return 0; }");
-    assert_eq!(
-        failure(&program),
-        "expected a shared library, found an object file that is not a shared library (executable)"
-    );
+    assert_eq!(failure(&program), "expected a shared library, found an object file of another kind");
 }
 
 #[test]
@@ -118,7 +115,7 @@ fn names_and_places_are_checked() {
     let folder = tempfile::tempdir().unwrap();
     let misnamed = folder.path().join("faulty.so");
     fs::copy(example("faulty"), &misnamed).unwrap();
-    assert_eq!(failure(&misnamed), format!("expected a file named `{}`", file_name("NAME")));
+    assert_eq!(failure(&misnamed), format!("expected a file named like `{}`, found another name", file_name("NAME")));
     let upper = folder.path().join(file_name("Faulty"));
     fs::copy(example("faulty"), &upper).unwrap();
     assert!(failure(&upper).starts_with("expected a file named"));
@@ -126,7 +123,7 @@ fn names_and_places_are_checked() {
     assert!(missing.starts_with("expected a plugin or a folder of plugins that can be read: "), "{missing}");
     let empty = folder.path().join("release");
     fs::create_dir(&empty).unwrap();
-    let expected = format!("expected files named `{}`, found none: `cargo build --release` ", file_name("*"));
+    let expected = format!("expected files named like `{}`, found none: `cargo build --release` ", file_name("*"));
     assert!(failure(&empty).starts_with(&expected), "{}", failure(&empty));
     // A renamed library keeps its plugin's id, since ids come from the exported functions.
     let renamed = folder.path().join(file_name("other"));
@@ -212,7 +209,7 @@ fn libraries_of_other_versions_are_recognized() {
     assert_eq!(
         message("newer", ABI_MAJOR + 1, 4, 200, "4, 4, TEXTS, 0"),
         format!(
-            "built for version {}.4 of the plugin interface (ABI), but this program has {ABI_MAJOR}.{ABI_MINOR}: the plugin needs a newer version of this program",
+            "expected a plugin for version {ABI_MAJOR}.{ABI_MINOR} of the plugin interface (ABI), found a plugin for version {}.4: the plugin needs a newer version of this program",
             ABI_MAJOR + 1
         )
     );
@@ -223,7 +220,7 @@ fn libraries_of_other_versions_are_recognized() {
     let expected = "expected kind 1 (importer), 2 (source), 3 (node) or 4 (output), found 77";
     assert_eq!(unknown, format!("plugin `unknown`: {expected}"));
     let bare = message("bare", ABI_MAJOR, ABI_MINOR, size, "4, 4, TEXTS, 0");
-    assert_eq!(bare, "plugin `bare`: a function of an output is missing");
+    assert_eq!(bare, "plugin `bare`: expected all functions of an output, found a table that lacks one");
 
     // the structs of a newer minor version are longer
     for (id, last, vtable) in [("same", "", vtable), ("grown", ", *more", vtable + 8)] {
@@ -284,7 +281,10 @@ fn a_library_may_hold_several_plugins() {
 fn libraries_without_a_usable_entry_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let none = descriptor_in_c(folder.path(), "none", "int answer(void) { return 42; }");
-    assert_eq!(failure(&none), "expected the function `lumistack_plugin_entry_none`, found none of that name");
+    assert_eq!(
+        failure(&none),
+        "expected the exported function `lumistack_plugin_entry_none`, found no function of that name"
+    );
     let null = descriptor_in_c(folder.path(), "null", "const void *lumistack_plugin_entry_null(void) { return 0; }");
     assert_eq!(failure(&null), "expected a descriptor from the plugin's entry function, found null");
     let needy = descriptor_in_c(

@@ -121,7 +121,7 @@ fn everything_goes_wrong(bench: &Bench) {
         (json!({"fault": "fail"}), "output `faulty` failed: the ink is empty"),
         (json!({"fault": "fail late"}), "output `faulty` failed: jam"),
         (json!({"fault": "panic"}), "output `faulty` panicked, which is a mistake in the plugin: no more ink"),
-        (json!({"fault": "leave open"}), "output `faulty` finished without completing sub1/f.txt"),
+        (json!({"fault": "leave open"}), "output `faulty` finished, but did not complete the files sub1/f.txt"),
         (json!({"path": "../escaped.txt"}), "output `faulty`: file `../escaped.txt`: expected a path inside"),
         (json!({"path": "/tmp/escaped.txt"}), "output `faulty`: file `/tmp/escaped.txt`: expected a path inside"),
         (json!({"path": "sub0/F.txt"}), "output `faulty`: file `sub0/F.txt` was already written"),

@@ -119,14 +119,18 @@ fn presenters_and_writers_are_distinguished() {
     };
     let error = run_output(&registry, "echo", &json!({}), context).unwrap_err().to_string();
     assert!(
-        error.contains("expected an output that writes files, found one that drives panels (for `lumistack show`)"),
+        error.contains(
+            "expected an output that writes files, found an output that drives panels (for `lumistack show`)"
+        ),
         "{error}"
     );
     assert!(!folder.path().join("out").exists());
     let (_send, input) = channel();
     let error = presented(&registry, "images", &stacks()[0], input, &cancel).unwrap_err().to_string();
     assert!(
-        error.contains("expected an output that drives panels (for `lumistack show`), found one that writes files"),
+        error.contains(
+            "expected an output that drives panels (for `lumistack show`), found an output that writes files"
+        ),
         "{error}"
     );
 }

@@ -174,8 +174,11 @@ fn importers_read_through_the_host() {
 #[test]
 fn what_is_wrong_is_said_and_goes_no_further() {
     for (fault, message) in [
-        ("bright", "the plugin made a wrong stack: layer 0: expected values in 0..1, found 1.5"),
-        ("layers", "the plugin made a wrong stack: layers: expected 2, found 1"),
+        (
+            "bright",
+            "the plugin made a layer stack that does not fit the display: layer 0: expected values in 0..1, found 1.5",
+        ),
+        ("layers", "the plugin made a layer stack that does not fit the display: layers: expected 2, found 1"),
         ("panic", "panicked: no patterns at time 0"),
     ] {
         assert_eq!(flat(&format!(r#"{{"fault": "{fault}"}}"#)).unwrap_err().to_string(), message);
@@ -190,9 +193,9 @@ fn plugins_are_not_taken_for_other_kinds() {
     let (card, host) = (Plugin::compiled_in(&card::PLUGIN).unwrap(), MemoryHost::new());
     let display = display();
     let error = Output::open(&card, &host, &lumistack_plugin::serde_json::json!({}), &display).err().unwrap();
-    assert_eq!(error.to_string(), "`card` is no output but a source");
+    assert_eq!(error.to_string(), "plugin `card`: expected an output, found a source");
     let error = make_stack(&card, &host, "{}", &NodeData::new(&display, &target())).unwrap_err();
-    assert_eq!(error.to_string(), "`card` is no node but a source");
+    assert_eq!(error.to_string(), "plugin `card`: expected a node, found a source");
 }
 
 /// A node written against the C interface. Its parameters list the planes that it sends: `{"steps":
@@ -255,8 +258,8 @@ fn pieces_that_do_not_fit_are_refused_where_they_are_given() {
         ("[]", "the plugin did not give layer 0, frame 0"),
         ("[[0, 0, 3, 0.5]]", "the plugin did not give layer 0, frame 1"),
         ("[[0, 0, 3, 0.5], [0, 0, 3, 0.5]]", "layer 0, frame 0 was already given"),
-        ("[[1, 0, 3, 0.5]]", "layer 1, frame 0: expected a layer index less than 1 and a frame index less than 2"),
-        ("[[0, 2, 3, 0.5]]", "layer 0, frame 2: expected a layer index less than 1 and a frame index less than 2"),
+        ("[[1, 0, 3, 0.5]]", "layer 1, frame 0: expected a layer below 1 and a frame below 2"),
+        ("[[0, 2, 3, 0.5]]", "layer 0, frame 2: expected a layer below 1 and a frame below 2"),
         ("[[0, 0, 2, 0.5]]", "layer 0, frame 0: expected a plane of shape [3, 4, 3], found [2, 4, 3]"),
         ("[[0, 0, 3, -0.5]]", "layer 0, frame 0: expected values in 0..1, found -0.5"),
     ] {

@@ -17,7 +17,7 @@ pub fn call(function: impl FnOnce(*const ErrorSink) -> Status) -> Result<(), Plu
     let mut text = String::new();
     let status = function(&keeping(&mut text));
     if text.is_empty() {
-        text = format!("no reason given (status {})", status.0);
+        text = format!("status {} without a reason", status.0);
     }
     match status {
         Status::OK => Ok(()),

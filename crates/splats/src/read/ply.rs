@@ -128,7 +128,11 @@ impl<'a> Element<'a> {
         if column.kind == Kind::U32 {
             return Ok(column);
         }
-        Err(ReadError::new(format!("element {}, property {name}", self.name), "uint", format!("{:?}", column.kind)))
+        Err(ReadError::new(
+            format!("element {}, property {name}", self.name),
+            "the type uint",
+            "another type of number",
+        ))
     }
 
     /// Returns the columns `f_rest_0`, `f_rest_1`, …, and the degree of the harmonics that they
@@ -197,7 +201,7 @@ fn packed(
     sh: Option<&Element<'_>>,
 ) -> Result<lumistack_scene::Cloud, ReadError> {
     if chunks.count < vertices.count.div_ceil(CHUNK) {
-        let expected = format!("{} chunks of {CHUNK} splats", vertices.count.div_ceil(CHUNK));
+        let expected = format!("at least {}, the number of chunks of {CHUNK} splats", vertices.count.div_ceil(CHUNK));
         return Err(ReadError::new("element chunk", expected, chunks.count));
     }
     // Each chunk holds the bounds of its quantized splats.
@@ -212,7 +216,9 @@ fn packed(
     let [scale, colour] = [vertices.words("packed_scale")?, vertices.words("packed_color")?];
     let (rest, degree) = match sh {
         Some(sh) if sh.count == vertices.count => sh.rest()?,
-        Some(sh) => return Err(ReadError::new("element sh", format!("{} rows", vertices.count), sh.count)),
+        Some(sh) => {
+            return Err(ReadError::new("element sh", format!("{} rows, one for each splat", vertices.count), sh.count));
+        }
         None => (Vec::new(), 0),
     };
     // Expand the words of each splat. In a position and in a scale, 11, 10 and 11 bits are x, y and
@@ -266,7 +272,7 @@ fn elements(bytes: &[u8]) -> Result<Vec<Element<'_>>, ReadError> {
     let at = at.ok_or_else(|| ReadError::new("header", "a line end_header", "none"))?;
     let line_end = header[at..].iter().position(|byte| *byte == b'\n');
     let mut rest = &bytes[at + line_end.ok_or_else(|| ReadError::new("header", "a line end", "none"))? + 1..];
-    let text = std::str::from_utf8(&header[..at]).map_err(|error| ReadError::new("header", "text", error))?;
+    let text = std::str::from_utf8(&header[..at]).map_err(|error| ReadError::new("header", "UTF-8 text", error))?;
     // The offset of a property in a row is the sum of the sizes of the properties in front of it.
     let mut elements: Vec<Element<'_>> = Vec::new();
     for line in text.lines() {
@@ -299,7 +305,11 @@ fn elements(bytes: &[u8]) -> Result<Vec<Element<'_>>, ReadError> {
         let size = element.count.checked_mul(element.stride).filter(|size| *size <= rest.len());
         let size = size.ok_or_else(|| {
             let expected = format!("{} rows of {} bytes", element.count, element.stride);
-            ReadError::new(format!("element {}", element.name), expected, format!("{} bytes", rest.len()))
+            ReadError::new(
+                format!("element {}", element.name),
+                expected,
+                format!("{} bytes to the end of the file", rest.len()),
+            )
         })?;
         (element.rows, rest) = rest.split_at(size);
         if element.stride == 0 {

@@ -146,7 +146,8 @@ pub(super) fn read_bundle(bytes: &[u8]) -> Result<Found, ReadError> {
 /// Reads `meta.json` and the pictures that it names.
 pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>) -> Result<Found, ReadError> {
     // The number of splats bounds every allocation that follows, so it is checked first.
-    let meta: Meta = serde_json::from_slice(meta).map_err(|error| ReadError::new("meta.json", "a SOG", error))?;
+    let meta: Meta =
+        serde_json::from_slice(meta).map_err(|error| ReadError::new("meta.json", "the description of a SOG", error))?;
     let count = meta.count.or(meta.means.shape.first().copied());
     let count = count.ok_or_else(|| ReadError::new("/count", "the number of splats", "none"))?;
     if count as u64 * 64 > MAX_BYTES {
@@ -166,7 +167,7 @@ pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>
     let sh0 = enough(meta.sh0.picture("sh0", 0, beside)?, "sh0")?;
     // Bounds and codebooks convert bytes to values.
     let three = |part: &'_ Part, name: &str| -> Result<Vec<(f32, f32)>, ReadError> {
-        let missing = || ReadError::new(format!("/{name}"), "mins and maxs of three axes", "fewer");
+        let missing = || ReadError::new(format!("/{name}"), "mins and maxs of three axes", "fewer axes");
         (0..3).map(|axis| Some((part.mins.get(axis)?, part.maxs.get(axis)?))).collect::<Option<_>>().ok_or_else(missing)
     };
     let means = three(&meta.means, "means")?;

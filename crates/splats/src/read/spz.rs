@@ -43,7 +43,7 @@ struct Header {
 impl Header {
     fn parse(bytes: &[u8]) -> Result<Self, ReadError> {
         if bytes.len() < HEADER {
-            return Err(ReadError::new("header", format!("{HEADER} bytes"), bytes.len()));
+            return Err(ReadError::new("header", format!("at least {HEADER} bytes"), bytes.len()));
         }
         let word = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
         if word(0) != MAGIC {
@@ -91,7 +91,7 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
         if (data.len() as u64) < wanted {
             return Err(ReadError::new(
                 "gzip stream",
-                format!("{wanted} bytes of {} splats", header.count),
+                format!("{wanted} bytes for {} splats", header.count),
                 data.len(),
             ));
         }
@@ -106,7 +106,11 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
     // Version 4 has an uncompressed header, a table of sizes, and a Zstandard stream per attribute.
     let header = Header::parse(bytes)?;
     if header.version < 4 || bytes.len() < HEADER_4 {
-        return Err(ReadError::new("header", "version 4 with 32 bytes, or a gzip stream", header.version));
+        return Err(ReadError::new(
+            "header",
+            "version 4 in a header of 32 bytes, or a gzip stream",
+            format!("version {}", header.version),
+        ));
     }
     let streams = usize::from(bytes[15]);
     let table = u32::from_le_bytes([bytes[16], bytes[17], bytes[18], bytes[19]]) as usize;
@@ -131,7 +135,7 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
         let place = format!("stream {number}");
         let wanted = (strides[number] * header.count) as u64;
         if long(unpacked) != wanted {
-            return Err(ReadError::new(place, format!("{wanted} bytes of {} splats", header.count), long(unpacked)));
+            return Err(ReadError::new(place, format!("{wanted} bytes for {} splats", header.count), long(unpacked)));
         }
         let length = usize::try_from(long(packed)).ok().filter(|length| *length <= rest.len());
         let length =
@@ -155,7 +159,7 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
     if header.flags & EXTENSIONS != 0 {
         found
             .left_out
-            .push("records of vendors in the header are not read; the axes are taken as right, up, back".into());
+            .push("the header contains records of a vendor, which are not supported; the file's axes are assumed to point right, up and back".into());
     }
     Ok(found)
 }
@@ -204,7 +208,10 @@ fn splats(header: &Header, parts: [&[u8]; 6]) -> Result<Found, ReadError> {
     }
     let mut left_out = Vec::new();
     if header.degree > MAX_DEGREE {
-        left_out.push(format!("harmonics of degree {}: {MAX_DEGREE} is the highest that is rendered", header.degree));
+        left_out.push(format!(
+            "the harmonics have degree {}, but degree {MAX_DEGREE} is the highest that is rendered; higher degrees are left out",
+            header.degree
+        ));
     }
     Ok(Found { cloud, axes: Axes::RightUpBack, left_out })
 }

@@ -134,7 +134,7 @@ def ParticleField3DGaussianSplat "high"
         "/bare: expected 32 harmonics, found 1",
         "/blocks: expected a particle field with a Gaussian kernel, found ParticleFieldKernelConstantSurfletAPI",
         "/wrong: expected a degree of harmonics from 0 to 64, found -2",
-        "/high: harmonics of degree 4: 3 is the highest",
+        "/high: the harmonics have degree 4, but degree 3 is the highest",
     ];
     for part in expected {
         assert!(warnings.iter().any(|warning| warning.contains(part)), "{part} {warnings:?}");

@@ -365,7 +365,10 @@ fn variants_are_chosen_by_name_on_all_prims_or_one() {
     assert_eq!(sizes(&["size=large", "/b{size=small}"]), [2.0, 1.0]);
     for wrong in ["size=huge", "colour=red", "/c{size=large}", "nonsense"] {
         let error = with(&[wrong]).unwrap_err().to_string();
-        assert!(error.contains("/a{size}: large, small") && error.ends_with(&format!("found {wrong}")), "{error}");
+        assert!(
+            error.contains("/a{size}: large, small") && error.ends_with(&format!("found the variant {wrong}")),
+            "{error}"
+        );
     }
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.usda");
@@ -431,9 +434,9 @@ fn primvars_that_do_not_fit_are_left_out_with_a_warning() {
     let (scene, warnings) = try_with(&text, &LoadOptions::default());
     assert_eq!(scene.unwrap().meshes[0].normals, [Vec3::Z; 3]);
     assert!(
-        warnings.iter().any(|warning| warning
-            .message
-            .contains("normals has a list of length 2, but its interpolation \"vertex\" needs 3")),
+        warnings.iter().any(|warning| warning.message.contains(
+            "normals is left out, since it has a list of length 2, but its interpolation \"vertex\" needs length 3"
+        )),
         "{warnings:?}"
     );
 }

@@ -56,7 +56,7 @@ pub(crate) fn program(gl: &Gl, vertex: &str, fragment: &str, defines: &str) -> R
             return Ok(shader);
         }
         let log = gl.get_shader_info_log(&shader).unwrap_or_default();
-        Err(err(format!("WebGL2: expected a driver that compiles the shaders, found: {log}")))
+        Err(err(format!("WebGL2: expected a driver that compiles the shaders, found an error: {log}")))
     };
     let program = gl.create_program().ok_or_else(|| err(LOST))?;
     for shader in [compiled(Gl::VERTEX_SHADER, vertex)?, compiled(Gl::FRAGMENT_SHADER, &fragment)?] {
@@ -68,5 +68,5 @@ pub(crate) fn program(gl: &Gl, vertex: &str, fragment: &str, defines: &str) -> R
         return Ok(program);
     }
     let log = gl.get_program_info_log(&program).unwrap_or_default();
-    Err(err(format!("WebGL2: expected a driver that links the shaders, found: {log}")))
+    Err(err(format!("WebGL2: expected a driver that links the shaders, found an error: {log}")))
 }

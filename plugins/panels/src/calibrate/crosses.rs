@@ -74,7 +74,7 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
     let mut sizes: Vec<f64> =
         components.iter().filter(|p| p.fills() < CROSS_FILLS).map(|p| p.size()[0].max(p.size()[1])).collect();
     if sizes.is_empty() {
-        return Err(format!("{} dark components, none of them a cross", components.len()));
+        return Err(format!("no cross (dark components: {})", components.len()));
     }
     sizes.sort_by(f64::total_cmp);
     let usual = sizes[sizes.len() / 2];
@@ -92,14 +92,14 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
             && (0.08..0.5).contains(&(width / usual))
     };
     let disc = components.iter().filter(is_disc).max_by_key(|component| component.count).map(Component::centre);
-    let disc = disc.ok_or_else(|| format!("{} crosses, but no mark", crosses.len()))?;
+    let disc = disc.ok_or_else(|| format!("no mark (crosses: {})", crosses.len()))?;
     let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
     // The central cross is the nearest cross that is below the mark and left of it.
     let middle = crosses
         .iter()
         .filter(|at| at[0] < disc[0] && at[1] > disc[1])
         .min_by(|a, b| apart(**a, disc).total_cmp(&apart(**b, disc)))
-        .ok_or_else(|| format!("{} crosses, none below and left of the mark", crosses.len()))?;
+        .ok_or_else(|| format!("a mark without a cross below and left of the mark (crosses: {})", crosses.len()))?;
     // Search breadth first: from the central cross to its four neighbours, from each of these to
     // its neighbours, and so on.
     let step = usual / (2.0 * ARM_OF_STEP);

@@ -46,7 +46,7 @@ pub enum CalibrationError {
     },
     /// The camera model does not fit the crosses.
     #[error(
-        "photograph of layer {layer}: the crosses do not fit a camera's perspective: expected a reprojection error of 3 pixels at most, found {rms_px:.1}. Take a sharp photograph of the whole array"
+        "photograph of layer {layer}: the crosses do not fit a camera's perspective: expected a reprojection error of at most 3 pixels, found {rms_px:.1} pixels. Take a sharp photograph of the whole array"
     )]
     Fit {
         /// Index of the photographed layer.
@@ -139,7 +139,7 @@ fn array(display: &Display, (layer, photograph): (usize, &GrayImage)) -> Result<
         .map_err(|found| wrong("the array of crosses with the mark of its central cross".into(), found))?;
     if found.len() < FEWEST {
         let expected = format!("at least {FEWEST} of {} crosses", (2 * cols + 1) * (2 * rows + 1));
-        return Err(wrong(expected, found.len().to_string()));
+        return Err(wrong(expected, format!("{} crosses", found.len())));
     }
     Ok(found)
 }

@@ -337,7 +337,7 @@ impl App<'_> {
                 let (fits, pitch_mm) = fitted(&display, &assigned);
                 display = fits;
                 (self.emit)(Event::Warning(format!(
-                    "fit: one panel pixel is taken as {pitch_mm:.4} mm; scale the distances between the panels by true pitch / {pitch_mm:.4} mm"
+                    "fit: the masks are scaled as if a panel pixel had {pitch_mm:.4} mm. Multiply the distances between the panels by the true size of a panel pixel, divided by {pitch_mm:.4} mm"
                 )));
             }
             misfits(&display, &assigned).into_iter().for_each(|text| (self.emit)(Event::Warning(text)));
@@ -475,7 +475,7 @@ impl App<'_> {
             let (_, name, _) = &self.windows[running.shared.blocked_screen.load(Ordering::Relaxed)];
             let what = if running.mode == Mode::Span { "the surface across all outputs" } else { name };
             (self.emit)(Event::Warning(format!(
-                "{what}: no refresh for {} s (output asleep, or showing another workspace?); all panels wait for this output",
+                "{what}: no refresh for {} s (the output may be asleep, or may show another workspace); all panels wait for this output",
                 STALL_TIMEOUT.as_secs()
             )));
         }
@@ -592,7 +592,7 @@ impl App<'_> {
         self.windows.clear();
         if self.unsaved {
             (self.emit)(Event::Warning(
-                "the panels' nudges were not saved (save by key s, or the command `save`)".into(),
+                "the panels' nudges were not saved; the key s or the command `save` saves nudges".into(),
             ));
         }
         // After an error before the first refresh there are no statistics to report.
@@ -636,7 +636,7 @@ fn add_span_rule() -> Result<(), WindowError> {
         ))),
         Some(Err(error)) => Err(WindowError::Span(format!("cannot start swaymsg: {error}"))),
         None => Err(WindowError::Span(
-            "expected X11 or sway; other Wayland compositors show a surface on one output only".into(),
+            "expected X11 or sway, found another Wayland compositor, which shows a surface on one output only".into(),
         )),
     }
 }

@@ -59,7 +59,7 @@ pub enum WindowError {
     Pattern(#[from] PatternError),
     /// The program was built without windows.
     #[error(
-        "windows: expected a build with the feature `panels` (cargo build --release -p lumistack-cli --features panels), found one without"
+        "windows: expected a build with the feature `panels` (cargo build --release -p lumistack-cli --features panels), found a build without this feature"
     )]
     NotBuilt,
     /// There is no windowing system.
@@ -79,7 +79,10 @@ pub enum WindowError {
         found: String,
     },
     /// A window did not reach the size of its output.
-    #[error("{output}: expected a surface of {expected:?} pixels, found {found:?}: set the output's scale to 1")]
+    #[error(
+        "{output}: expected a surface of {} × {} pixels, found {} × {} pixels: set the output's scale to 1",
+        expected[0], expected[1], found[0], found[1]
+    )]
     Size {
         /// The name of the output.
         output: String,
@@ -95,7 +98,9 @@ pub enum WindowError {
     #[error("windows: the connection to the X server or the compositor was lost")]
     Lost,
     /// An output was disconnected.
-    #[error("output {name}: disconnected while it showed {shows}: check that it is plugged in and switched on")]
+    #[error(
+        "output {name}: disconnected while the output showed {shows}: check that the panel is plugged in and switched on"
+    )]
     Gone {
         /// The name of the output.
         name: String,

@@ -156,7 +156,8 @@ mod tests {
     #[test]
     fn files_with_what_our_path_tracer_cannot_show_are_rendered_by_their_own_engine() {
         let plain = BlendContents { engine: "CYCLES".into(), ..BlendContents::default() };
-        let fur = BlendContents { lost: vec!["hair that our path tracer leaves out: Dog".into()], ..plain.clone() };
+        let fur =
+            BlendContents { lost: vec!["hair that Lumistack's path tracer leaves out: Dog".into()], ..plain.clone() };
         let no_screen = BlendContents { unfit: Some("EEVEE needs OpenGL".into()), ..fur.clone() };
         let asked = |engine| RenderJob { engine, ..RenderJob::default() };
         let denoised = RenderJob { denoise: Denoise::Guided, ..RenderJob::default() };

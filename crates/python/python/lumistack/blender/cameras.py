@@ -192,15 +192,15 @@ def view_camera(window: Window, slope: Sequence[float], distance_mm: float | Non
             1.05 * reach,
         )
     if not distance_mm > 0.0:
-        raise WindowError(f"distance_mm: expected a distance of the eye above 0, found {distance_mm}")
+        raise WindowError(f"distance_mm: expected a distance from the eye to the display above 0, found {distance_mm}")
     width = window.size_mm[0]
     shift = (-distance_mm * s_x / width, -distance_mm * s_y / width)
     if max(map(abs, shift)) > MOST_SHIFT:
-        found = f"{max(map(abs, shift)):.1f}: the view is too far to the side of a window of {width:.0f} mm"
-        raise WindowError(f"shift: expected at most {MOST_SHIFT:.0f} widths of the picture, the most that Blender's cameras support, found {found}")
+        found = f"{max(map(abs, shift)):.1f}: the view is too far to the side of the window, which is {width:.0f} mm wide"
+        raise WindowError(f"shift of the camera: expected at most {MOST_SHIFT:.0f} widths of the picture, the most that Blender's cameras support, found {found}")
     lens = SENSOR_MM * distance_mm / width
     if lens < 1.0:
-        raise WindowError(f"distance_mm: expected at least {width / SENSOR_MM:.1f} for a window of {width:.0f} mm, found {distance_mm:.1f}")
+        raise WindowError(f"distance_mm: expected at least {width / SENSOR_MM:.1f} for a window that is {width:.0f} mm wide, found {distance_mm:.1f}")
     reach = scale * max(distance_mm - farthest, 1e-3 * distance_mm)
     matrix = _matrix(window.right, window.up, window.back, window.point((distance_mm * s_x, distance_mm * s_y, distance_mm)))
     return ViewCamera(matrix, None, lens, shift, NEAREST * scale * distance_mm, 1.05 * reach)

@@ -81,21 +81,21 @@ def parse(words: list[str]) -> Asked:
     parser.add_argument("--display", metavar="PRESET|FILE", help="name of a built-in display, or path of a display file")
     parser.add_argument("--grid", choices=["display", "oblique", "perspective"], help="parallel views, or views from eyes")
     parser.add_argument("--distance-mm", type=float, metavar="MM", help="distance of the eyes from the display")
-    parser.add_argument("--views", type=_views, metavar="auto|half|HxV", help="number of views: auto (enough for directions between the views), half (half of these per axis), or HxV")
-    parser.add_argument("--score", action=argparse.BooleanOptionalAction, help="render a few further views, and score the display between its views")
+    parser.add_argument("--views", type=_views, metavar="auto|half|HxV", help="number of views: auto (enough that the picture is also correct between the views), half (half as many per axis as auto), or HxV")
+    parser.add_argument("--score", action=argparse.BooleanOptionalAction, help="render a few views more, and score the display between its views")
     parser.add_argument("--quality", choices=["draft", "preview", "full"], help="quality, as in the panel; determines pixels, iterations and paths")
     parser.add_argument("--brightness", type=float, metavar="B", help="brightness scale, above 0 and at most 1")
-    parser.add_argument("--pixels", type=int, metavar="PERCENT", help="per cent of the display's pixels, on each axis")
+    parser.add_argument("--pixels", type=int, metavar="PERCENT", help="percentage of the display's columns and rows that is used")
     parser.add_argument("--iterations", type=int, metavar="N", help="iterations of the solver")
     parser.add_argument("--samples", type=int, metavar="N", help="paths per pixel of Lumistack's path tracer")
     parser.add_argument("--renderer", choices=["blender", "lumistack", "both"], help="program that renders the views")
-    parser.add_argument("--look", choices=["scene", "linear"], help="as Blender shows the scene, or linear")
+    parser.add_argument("--look", choices=["scene", "linear"], help="exposure and tone curve: as Blender shows the scene, or linear")
     parser.add_argument("--exposure", type=float, metavar="EV", help="exposure in stops, with --look linear")
     parser.add_argument("--window-distance", type=float, metavar="D", help="distance from the camera to the window, scene units")
     parser.add_argument("--window-size", type=float, metavar="F", help="width of the window, divided by the width of the camera's picture in the window's plane")
     parser.add_argument("--handover", choices=["gltf", "usd", "both"], help="format in which Lumistack's path tracer gets the scene")
-    parser.add_argument("--fit-depth", choices=["move", "compress"], help="bring the scene into the display's depth of field")
-    parser.add_argument("--frames", type=_frames, metavar="A..B", help="a range of frames")
+    parser.add_argument("--fit-depth", choices=["move", "compress"], help="bring the scene into the display's depth of field: move the window, or also compress the depth")
+    parser.add_argument("--frames", type=_frames, metavar="A..B", help="a range of frames, such as 1..24; every frame gets its own patterns")
     parser.add_argument("--plugin", metavar="ID", help="output plugin")
     found = parser.parse_args(words)
     # Convert the words to the extension's settings.
@@ -132,7 +132,7 @@ def parse(words: list[str]) -> Asked:
         settings["use_brightness"] = True
     if {"percentage", "iterations", "samples"} & settings.keys():
         if "quality" in settings:
-            parser.error("argument --quality: expected none beside --pixels, --iterations or --samples, which set the quality themselves, found one")
+            parser.error("--quality: expected either --quality, or --pixels, --iterations and --samples, found both")
         settings["quality"] = "CUSTOM"
     if "distance" in settings:
         settings["window_from"] = "DISTANCE"

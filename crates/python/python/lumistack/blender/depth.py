@@ -53,14 +53,14 @@ def sentence(depths_mm: Sequence[float], range_mm: Sequence[float] | None) -> st
     if not depths_mm:
         return None
     if range_mm is None:
-        return "The display shows its own pixels sharply at no depth"
+        return "There is no depth at which the display shows detail as fine as its own pixels"
     share = outside(depths_mm, range_mm)
     if share < WORTH_SAYING:
         return None
     (low, high), (near, far) = range_mm, (max(depths_mm), min(depths_mm))
     return (
-        f"{100 * share:.0f} % of what is seen is blurred: the scene reaches from {place(far)} to {place(near)} the display, "
-        f"which is sharp from {place(low)} to {place(high)} it"
+        f"{100 * share:.0f} % of the visible surfaces are blurred: the scene reaches from {place(far)} to {place(near)} the display, "
+        f"but the display is sharp only from {place(low)} to {place(high)} its plane"
     )
 
 

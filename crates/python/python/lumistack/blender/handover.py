@@ -50,10 +50,10 @@ def export_scene(bpy: Any, path: str | Path, warn: Warn, scene: Any = None) -> N
     for image in bpy.data.images:
         if image.source == "FILE" and image.users and not image.packed_file and not image.has_data:
             if not Path(bpy.path.abspath(image.filepath, library=image.library)).is_file():
-                warn(image.name, f"the picture {image.filepath} is missing; its surfaces have no texture")
+                warn(image.name, f"the picture {image.filepath} is missing; surfaces that use the picture have no texture")
     for library in bpy.data.libraries:
         if not Path(bpy.path.abspath(library.filepath)).is_file():
-            warn(library.name, f"the library {library.filepath} is missing; its linked objects are left out")
+            warn(library.name, f"the library {library.filepath} is missing; objects that are linked from the library are left out")
     file.write(path)
 
 
@@ -232,13 +232,13 @@ def _add_light(held: Any, matrix: Any, file: Glb, warn: Warn) -> None:
         positions, triangles = panel(width, height, round_shape)
         across = (matrix.col[0].xyz * width).cross(matrix.col[1].xyz * height).length * (math.pi / 4 if round_shape else 1.0)
         if not across > 0.0:
-            warn(name, "an area light without an area is left out")
+            warn(name, "the area light has no area and is left out")
             return
         if light.spread < math.radians(179.0):
             warn(name, f"the area light's spread of {math.degrees(light.spread):.0f}° is taken as 180°")
         file.add_glow(name, y_up(matrix), positions, triangles, [value / (math.pi * across) for value in power], seen)
     else:
-        warn(name, f"a light of type {light.type.lower()} is left out")
+        warn(name, f"the light is left out, since its type {light.type.lower()} is not supported")
 
 
 def _power(light: Any, name: str, warn: Warn) -> list[float]:
@@ -253,7 +253,7 @@ def _power(light: Any, name: str, warn: Warn) -> list[float]:
         return [0.0, 0.0, 0.0]
     node = links[0].from_node
     if node.type != "EMISSION" or node.inputs["Color"].is_linked or node.inputs["Strength"].is_linked:
-        warn(name, "the nodes of this light are not read; it shines by its power and colour")
+        warn(name, "the light's nodes are not supported; the light's power and colour are used instead")
         return power
     strength, colour = node.inputs["Strength"].default_value, node.inputs["Color"].default_value
     return [value * strength * channel for value, channel in zip(power, colour, strict=False)]
@@ -333,7 +333,7 @@ def _add_cameras(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
             lens = {"xmag": width / 2, "ymag": height / 2, "znear": 0.0, "zfar": held.data.clip_end}
             camera = {"type": "orthographic", "orthographic": lens}
         else:
-            warn(held.name, f"a camera of type {held.data.type.lower()} is left out")
+            warn(held.name, f"the camera is left out, since its type {held.data.type.lower()} is not supported")
             continue
         if abs(max(xs) + min(xs)) > 1e-3 * width or abs(max(ys) + min(ys)) > 1e-3 * height:
             warn(held.name, "the camera's picture is shifted; the camera is exported without the shift")
@@ -355,7 +355,7 @@ def _add_world(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
     if world.node_tree is not None and any(
         node.type == "OUTPUT_WORLD" and node.inputs["Volume"].is_linked for node in world.node_tree.nodes
     ):
-        warn(world.name, "the world's volume is left out")
+        warn(world.name, "the world's volume is not supported and is left out")
 
 
 def plain_colour(world: Any) -> list[float] | None:

@@ -205,7 +205,7 @@ class Attached(Program):
             door = json.loads(path.read_text(encoding="utf-8"))
             port, token = int(door["port"]), str(door["token"])
         except FileNotFoundError as error:
-            raise FileNotFoundError(f"{expected}, found no file {path.relative_to(run)} in it") from error
+            raise FileNotFoundError(f"{expected}, found a folder without the file {path.relative_to(run)}") from error
         except (ValueError, KeyError, TypeError) as error:
             raise OSError(f"{path}: expected a port and a token, found other content") from error
         try:

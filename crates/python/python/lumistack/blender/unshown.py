@@ -23,11 +23,11 @@ MIXED_SHADERS = ("MIX_SHADER", "ADD_SHADER")
 #: Types of objects that are not exported.
 LEFT_OUT = {"CURVES": "hair", "VOLUME": "volumes", "POINTCLOUD": "point clouds", "GREASEPENCIL": "drawings", "GPENCIL": "drawings"}
 LINES = {
-    "materials": "that our path tracer shows as plain colours, since glTF does not have their nodes",
-    "hair": "that our path tracer leaves out",
-    "volumes": "that our path tracer leaves out",
-    "point clouds": "that our path tracer leaves out",
-    "drawings": "that our path tracer leaves out",
+    "materials": "that Lumistack's path tracer shows as plain colours, since glTF lacks nodes of the materials",
+    "hair": "that Lumistack's path tracer leaves out",
+    "volumes": "that Lumistack's path tracer leaves out",
+    "point clouds": "that Lumistack's path tracer leaves out",
+    "drawings": "that Lumistack's path tracer leaves out",
 }
 
 

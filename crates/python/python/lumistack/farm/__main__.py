@@ -18,7 +18,7 @@ def _line_of(event: dict[str, Any]) -> str:
         case "done_unit":
             return f"{event['done']:>5}/{event['units']}  {event['id']}  {event['seconds']:.1f} s"
         case "failed_unit":
-            return f"       {event['id']} failed, attempt {event['attempt']}: {event['message']}"
+            return f"       {event['id']} failed (attempt {event['attempt']}): {event['message']}"
         case "refused":
             return f"       worker {event['worker']} is not used: {event['reason']}"
         case "dashboard":
@@ -69,13 +69,13 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("error: stopped; the same command continues after the finished units", file=sys.stderr)
+        print("error: stopped; the same command continues with the units of work that are not finished", file=sys.stderr)
         return 130
     if given.json:
         print(json.dumps({"event": "done", "seconds": outcome.seconds, "units": len(outcome.done), "lost": outcome.lost}))
     else:
-        lost = f" (executed again after a loss: {outcome.lost})" if outcome.lost else ""
-        print(f"units done: {len(outcome.done)}{lost}, done before: {outcome.before}; {outcome.seconds:.0f} s")
+        lost = f" (units that were executed again since their worker was lost: {outcome.lost})" if outcome.lost else ""
+        print(f"units finished: {len(outcome.done)}{lost}, finished by earlier runs: {outcome.before}; {outcome.seconds:.0f} s")
         print(f"{given.folder}/report.html" if "finish" in outcome.done else given.folder)
     return 0
 

@@ -218,7 +218,7 @@ def _distributed() -> Any:
     try:
         return import_module("distributed")
     except ImportError as error:
-        raise FarmError(f"expected the package distributed, found none ({error}); `pip install 'lumistack[farm]'` installs it") from error
+        raise FarmError(f"expected the Python package distributed, found none ({error}); `pip install 'lumistack[farm]'` installs distributed") from error
 
 
 def _has(module: str) -> bool:
@@ -326,9 +326,9 @@ class Engine:
         if not usable and wait:
             reasons = sorted(set(self.outcome.refused.values()))
             if not reasons:
-                raise FarmError(f"expected workers, found none within {WORKER_SECONDS:.0f} s")
+                raise FarmError(f"expected at least one worker at the scheduler, found none within {WORKER_SECONDS:.0f} s")
             named = "; ".join(f"{worker}: {reason}" for worker, reason in self.outcome.refused.items())
-            raise FarmError(f"no worker can be used: {named}")
+            raise FarmError(f"none of the workers can be used: {named}")
         return usable
 
     def look_at(self, addresses: list[str]) -> None:
@@ -352,13 +352,13 @@ class Engine:
             return f"lumistack does not start on this worker: {about.get('error')}"
         if about["code"] != self.code:
             theirs, ours = f"{about.get('version')} ({about['code']})", f"{self.version} ({self.code})"
-            return f"it has lumistack {theirs}, but the run was planned by {ours}; install the same build"
+            return f"the worker has lumistack {theirs}, but the run was planned by lumistack {ours}; install one build on both machines"
         if "store" in about:
-            return f"it cannot use the store: {about['store']}"
+            return f"the worker cannot use the store: {about['store']}"
         if self.store is not None and not about.get("folder"):
-            return f"it does not see the files that this machine wrote to {self.store.store.url}: expected one store for all"
+            return f"the worker does not find the files that this machine wrote to {self.store.store.url}: expected one store for all machines"
         if not about.get("folder"):
-            return f"it does not see {self.folder}: share the folder with it, or map its path (--map /here=/there)"
+            return f"the worker does not find {self.folder}: share the folder with the worker, or map the folder's path (--map /here=/there)"
         return None
 
     def refuse(self, worker: str, reason: str) -> None:
@@ -475,7 +475,7 @@ class Engine:
         self.outcome.lost += 1
         self.losses[unit] = self.losses.get(unit, 0) + 1
         if self.losses[unit] >= MOST_LOSSES:
-            self.give_up(unit, f"its worker was lost {MOST_LOSSES} times")
+            self.give_up(unit, f"the unit's worker was lost {MOST_LOSSES} times")
 
     def fail(self, unit: str, message: str, of_store: bool = False) -> None:
         self.failures[unit] = self.failures.get(unit, 0) + 1
@@ -494,7 +494,7 @@ class Engine:
         outcome.left = [unit for unit in self.units if unit not in self.done and unit not in outcome.failed]
         if not outcome.failed:
             return outcome
-        kept = f"{len(self.done)} of {len(self.units)} units are done and kept; the same command continues after these units"
+        kept = f"{len(self.done)} of {len(self.units)} units of work are finished, and their results are kept; the same command continues with the other units"
         if self.unwritable is not None:
             place = "the run folder cannot be written" if self.store is None else "the store cannot be used"
             raise FarmError(f"{place}: {self.unwritable}; {kept}")
@@ -503,10 +503,10 @@ class Engine:
             causes.setdefault(message, []).append(unit)
         told = []
         for message, units in causes.items():
-            others = f" and {len(units) - 1} more" if len(units) > 1 else ""
+            others = f" and {len(units) - 1} more units" if len(units) > 2 else f" and {units[1]}" if len(units) == 2 else ""
             often = f"failed {MOST_FAILURES} times" if self.failures.get(units[0], 0) >= MOST_FAILURES else "given up"
-            told.append(f"unit {units[0]}{others} {often}: {message}")
-        waits = f"; units that depend on failed units were not started: {len(outcome.left)}" if outcome.left else ""
+            told.append(f"unit{'s' if len(units) > 1 else ''} {units[0]}{others} {often}: {message}")
+        waits = f"; number of units that were not started, since they depend on failed units: {len(outcome.left)}" if outcome.left else ""
         raise FarmError(f"{'; '.join(told)}{waits}; {kept}")
 
 

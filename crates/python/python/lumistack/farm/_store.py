@@ -42,7 +42,7 @@ class Store:
         try:
             fsspec = import_module("fsspec")
         except ImportError as error:
-            raise StoreError(f"expected the package fsspec, found none ({error}); `pip install 'lumistack[farm]'` installs it") from error
+            raise StoreError(f"expected the Python package fsspec, found none ({error}); `pip install 'lumistack[farm]'` installs fsspec") from error
         try:
             self.fs, self.root = fsspec.core.url_to_fs(self.url, use_listings_cache=False)
         except Exception as error:  # each file system raises its own errors
@@ -102,7 +102,7 @@ class Store:
             raise StoreError(f"{self.url}: {entry['path']} cannot be read: {_cause(error)}") from error
         finally:
             part.unlink(missing_ok=True)
-        raise StoreError(f"{self.url}: {entry['path']}: expected content of SHA-256 {entry['hash']}, found another")
+        raise StoreError(f"{self.url}: {entry['path']}: expected content with the SHA-256 {entry['hash']}, found other content")
 
     def publish(self, name: str, folder: Path, paths: Iterable[Path]) -> None:
         """Writes files of a folder, then the list of these files."""
@@ -129,7 +129,7 @@ class Store:
                 if len(bytes.fromhex(entry["hash"])) != 32:
                     raise ValueError(f"expected a SHA-256, found {entry['hash']}")
         except (ValueError, KeyError, TypeError) as error:
-            raise StoreError(f"{self.url}: {name}: expected a list of files, found a damaged one ({error})") from error
+            raise StoreError(f"{self.url}: {name}: expected a list of files, found a damaged list ({error})") from error
         return entries
 
     def pull(self, names: Iterable[str], folder: Path) -> list[str]:
