@@ -126,7 +126,7 @@ class Guest {
     for (; this.on; await rest(LOOK_MS)) {
       const [x, y] = this.viewer.slope;
       const at = performance.now();
-      // Nobody sees a hidden page. A message without a position reports this to the program.
+      // No user sees a hidden page. A message without a position reports this to the program.
       if (document.hidden) {
         if (sent) await this.send("");
         sent = undefined;

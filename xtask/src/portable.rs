@@ -50,8 +50,9 @@ const IN_WINE: [(&str, &[&str]); 4] = [
     ),
 ];
 
-/// Tests that Wine or mingw cannot pass. mingw's `fmaf` rounds twice (a quarter of its results
-/// differ from those of other systems), so kernels with vectors have other results than plain code.
+/// Tests that Wine or mingw cannot pass. mingw's `fmaf` rounds twice, so a quarter of its results
+/// differ from those of other systems. Kernels with vectors therefore have other results than plain
+/// code.
 const NOT_IN_WINE: [(&str, &[&str]); 2] = [
     (
         "lumistack_pathtracer",

@@ -68,9 +68,9 @@ impl Display {
     /// Returns the step of slopes (x, y) of [`Views::Auto`]. It is the smaller of the
     /// [native](native_step) step and a third of a bin of a directional backlight. If this step
     /// gives more than `most_views` views, or more than 101 along an axis, the function returns a
-    /// multiple of the step. An axis with parallax keeps at least three views, so its step is at
-    /// most 0.8 of half the zone's width: a display that is solved for one direction is wrong in
-    /// all others. The step of an axis without parallax is 0.
+    /// multiple of the step. An axis with parallax keeps at least three views, since a display
+    /// that is solved for one direction is wrong in all others. So its step is at most 0.8 of half
+    /// the zone's width. The step of an axis without parallax is 0.
     pub fn auto_step(&self, most_views: usize) -> [f64; 2] {
         let half = self.field.fov_deg.map(half_width);
         let mut native = native_step(self);

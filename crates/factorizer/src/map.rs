@@ -111,8 +111,8 @@ struct RaysOfLine {
 }
 
 impl FactorMap {
-    /// Returns the valid field rows whose rays read `line`. Each entry also has the weight of `line`
-    /// in the values that the row's rays read.
+    /// Returns the valid field rows whose rays read `line`. Each entry also has the weight of
+    /// `line` in the values that the row's rays read.
     #[inline(always)]
     pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.rays[view_y].of_line(line)

@@ -1,5 +1,5 @@
-# The script that a child process runs by `python -c`. Even an old Python must be able to parse it, since
-# the script also reports that a Python is too old.
+# The script that a child process runs by `python -c`. Even an old Python must be able to parse it,
+# since the script also reports that a Python is too old.
 import sys
 
 sys.path[:] = [place for place in sys.path if place]  # modules in the working folder must not shadow Python's

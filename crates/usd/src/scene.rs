@@ -399,7 +399,8 @@ impl<'a> Assembly<'a> {
         Ok(meshes)
     }
 
-    /// Returns the index of a copy of a material, for surfaces that are visible only from the front.
+    /// Returns the index of a copy of a material, for surfaces that are visible only from the
+    /// front.
     fn one_sided(&mut self, material: usize) -> usize {
         let materials = &mut self.parts.materials;
         *self.one_sided.entry(material).or_insert_with(|| {

@@ -142,7 +142,8 @@ impl Source<'_> {
 }
 
 /// Returns a warning with advice if a light field of `available` views per row has no view at a
-/// position of a quilt with `count` views. Three of nine views have positions of views, for example.
+/// position of a quilt with `count` views. For example, a quilt with three views only has positions
+/// of a light field's nine views.
 ///
 /// # Errors
 /// Under [`Missing::Refuse`] in this case.

@@ -74,7 +74,7 @@ pub struct NodeJob {
 }
 
 impl NodeJob {
-    /// Name of the built-in factorizer as a node of a job. Its parameters are the table `factorize`.
+    /// Name of the built-in factorizer as a node of a job. The table `factorize` has its parameters.
     pub const TENSOR_DISPLAY: &'static str = "tensor-display";
 }
 

@@ -1,6 +1,6 @@
 //! Steps of a sequence: one run folder per time step. A time step has a warm start from the
-//! previous one, with three exceptions: the first time step, a time step that begins a chunk, and a
-//! time step for which a fresh start is better, for example after a cut.
+//! previous time step. The first time step and a time step that begins a chunk are exceptions. A
+//! time step for which a fresh start is better, for example after a cut, is another exception.
 //!
 //! ```text
 //! job ─▶ t0001/ ─layers─▶ t0002/ ─layers─▶ t0003/ ─▶ ...      each folder holds the job of a still
