@@ -66,7 +66,7 @@ mod tests {
         }
         let same = map.after(&back).apply([4.0, 5.0]);
         assert!((same[0] - 4.0).abs() < 1e-12 && (same[1] - 5.0).abs() < 1e-12);
-        // `None` for four equal points. Also `None` if one point is inside the triangle of the other
+        // `None` for four equal points. Also `None` if one point is in the triangle of the other
         // three, since the map then takes a point of the square to infinity.
         assert_eq!(Homography::of_unit_square([[0.0, 0.0]; 4]), None);
         assert_eq!(Homography::of_unit_square([[0.0, 0.0], [10.0, 0.0], [3.0, 3.0], [0.0, 10.0]]), None);

@@ -18,7 +18,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     );
     let _ = writeln!(
         text,
-        "units() {{ xargs -P \"${{JOBS:-1}}\" -I ID {} {} ID; }}\n",
+        "units() {{ xargs -P \"${{JOBS:-1}}\" -n 1 {} {}; }}\n",
         line(&graph.command),
         quoted(&graph.folder)
     );
@@ -41,5 +41,15 @@ mod tests {
         assert_eq!(levels[0], "printf '%s\\n' place | units");
         assert!(levels[1].contains("t0001/trace/1-of-2") && levels[1].contains("t0002/trace/2-of-2"));
         assert_eq!(levels.len(), 6);
+    }
+
+    /// `xargs -I WORD` would also replace WORD in paths.
+    #[test]
+    fn a_unit_is_the_last_word_of_its_command() {
+        let mut graph = sample();
+        graph.folder = "/mnt/RAID/GRID {}".into();
+        let text = &export(&graph)[0].text;
+        let call = text.lines().find(|line| line.starts_with("units()")).unwrap();
+        assert!(call.ends_with(" '/mnt/RAID/GRID {}'; }") && call.contains(" -n 1 "), "{call}");
     }
 }

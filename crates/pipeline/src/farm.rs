@@ -36,7 +36,7 @@ use crate::store::code;
 use crate::store::farm::{done_file, forget, plan_file};
 use crate::store::files::{read_json, write_json};
 use crate::store::folder;
-use crate::store::key::hash;
+use crate::store::key::{KeyBuilder, content_hash, hash};
 use crate::store::lock::{Hold, UNIT_LIMIT, lock_for_unit};
 use crate::store::names::Work;
 use crate::store::plugin_files;
@@ -114,7 +114,7 @@ impl FarmPlan {
         read_json(&done_file(dir, id)).filter(|done: &UnitDone| done.plan == self.id)
     }
 
-    fn job(&self, maps: &[(PathBuf, PathBuf)]) -> Result<Job, PipelineError> {
+    fn job(&self, maps: &[(PathBuf, PathBuf)], registry: &Registry) -> Result<Job, PipelineError> {
         let damaged = |_| {
             PipelineError::value(
                 "farm plan",
@@ -127,9 +127,49 @@ impl FarmPlan {
         for path in job.paths_mut() {
             *path = mapped(path, maps);
         }
+        for (_, id, params) in job.plugins_mut() {
+            let files: Vec<_> = plugin_files::of(registry, id, params).map(|(n, p)| (n.into(), p.into())).collect();
+            for (name, path) in files {
+                let (name, path): (String, PathBuf) = (name, path);
+                params.insert(name, mapped(&path, maps).to_string_lossy().into());
+            }
+        }
         job.folder = self.folder.as_deref().map_or_else(PathBuf::new, |folder| mapped(folder, maps));
         Ok(job)
     }
+}
+
+/// Returns a hash of the files that a job names. Folders, such as light fields, are represented by
+/// names, sizes and times of their files.
+fn files_key(job: &Job, registry: &Registry) -> String {
+    let mut key = KeyBuilder::new("files", &[]);
+    for (role, path) in folder::inputs(job, registry) {
+        // The plan has the text of the job itself.
+        if role == "job file" {
+            continue;
+        }
+        key.add("path", path.as_os_str().as_encoded_bytes());
+        match content_hash(&path) {
+            Ok(hash) => drop(key.add("content", hash.as_bytes())),
+            Err(_) => drop(key.add("folder", files_in(&path).as_bytes())),
+        }
+    }
+    key.finish()
+}
+
+/// Returns the names, sizes and times of all files in a folder, as text.
+fn files_in(folder: &Path) -> String {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut lines: Vec<String> = entries
+        .map(|entry| {
+            let state = entry.metadata().ok();
+            let inside = state.as_ref().filter(|state| state.is_dir()).map(|_| files_in(&entry.path()));
+            let changed = state.as_ref().and_then(|state| state.modified().ok());
+            format!("{:?} {:?} {changed:?} {inside:?}", entry.file_name(), state.map(|state| state.len()))
+        })
+        .collect();
+    lines.sort();
+    lines.join("\n")
 }
 
 /// Maps a path of the planning machine to a path of this machine. `maps` are pairs of a folder on
@@ -181,7 +221,9 @@ pub fn farm_plan(
     // The id does not depend on estimates. Estimates differ between machines, and results do not
     // depend on them.
     let ids: Vec<_> = made.units.iter().map(|unit| (&unit.id, &unit.inputs, &unit.steps)).collect();
-    let all = serde_json::to_string(&(&made.job, &made.code, ids)).expect("plans serialize");
+    // It depends on the files that the job names, so that a changed scene is a new plan.
+    let all = (&made.job, &made.code, ids, files_key(&job, registry));
+    let all = serde_json::to_string(&all).expect("plans serialize");
     made.id = hash(all.as_bytes())[..DIGITS].to_owned();
     if FarmPlan::load(dir).is_ok_and(|old| old.id != made.id) {
         forget(dir);
@@ -233,7 +275,7 @@ pub fn farm_unit(
     }
     wait_for_inputs(&farm, dir, unit, patience, task)?;
     // The last unit runs the whole job: it reuses all results and writes the reports.
-    let job = farm.job(maps)?;
+    let job = farm.job(maps, registry)?;
     if is_last {
         run_finished(&job, dir, registry, task)?;
     } else {

@@ -235,6 +235,7 @@ impl Job {
             // The job in a file job.toml has the name of the file's folder. For example, the job in
             // scenes/still-life/job.toml is still-life.
             if job.name == "job"
+                && let Ok(path) = std::path::absolute(path)
                 && let Some(folder) = path.parent().and_then(Path::file_name)
             {
                 job.name = folder.to_string_lossy().into_owned();
@@ -296,7 +297,10 @@ impl Job {
         if let Ok(display) = job.display.resolve() {
             job.render.denoise = job.denoise_for(&display);
             if !matches!(display.field.views, Views::Fixed(_)) && self.scene.is_some() {
-                job.factorize.iterations.get_or_insert(lumistack_factorizer::ZONE_ITERATIONS);
+                let of_nodes = job.nodes.iter_mut().filter_map(|node| node.factorize.as_mut());
+                for factorize in std::iter::once(&mut job.factorize).chain(of_nodes) {
+                    factorize.iterations.get_or_insert(lumistack_factorizer::ZONE_ITERATIONS);
+                }
             }
         }
         job

@@ -11,6 +11,7 @@ use lumistack_report::DepthBudget;
 use crate::engine;
 use crate::error::{PipelineError, display_error, field_error};
 use crate::job::{Denoise, Job};
+use crate::plan::times;
 use crate::stage::field::{field_info, warn_of_depth};
 use crate::stage::fields::Shot;
 use crate::stage::{channels, denoise, depth, expose, ingest, place, samples, trace};
@@ -35,6 +36,8 @@ pub fn render_views(
         return Err(PipelineError::job("scene", "a scene to render", "none"));
     };
     let mut job = job.clone();
+    // Of a sequence, only the first time step is rendered.
+    job.pose = times::first_pose(&job);
     if !options.only.is_empty() && job.render.denoise == Denoise::Auto {
         // A denoiser needs all views, but the options may select only some.
         job.render.denoise = Denoise::Off;
@@ -55,7 +58,13 @@ pub fn render_views(
     let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
-    let samples = samples::measured(&job, &ingested, &placement, &display, &cache, task)?;
+    let mut samples = samples::measured(&job, &ingested, &placement, &display, &cache, task)?;
+    let least = options.least_samples(job.render.denoise);
+    match &mut samples {
+        Some(samples) => samples.per_view = samples.per_view.max(least),
+        None if job.render.samples_of_view(geometry.grid.iter().count()) < least => job.render.samples = Some(least),
+        None => {}
+    }
     let shot =
         Shot { job: &job, ingested: &ingested, placement: &placement, geometry: &geometry, display: &display, samples };
     let (traced, _) = trace::run(shot, options, &cache, task)?;

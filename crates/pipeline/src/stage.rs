@@ -66,7 +66,7 @@ pub(crate) const PLACE: StageInfo = StageInfo {
     name: "place",
     label: None,
     reads: |job| json!([job.window, display(job)]),
-    writes: &["cache/side-*", "cache/window-*", "cache/fit-*"],
+    writes: &["cache/side-*", "cache/window-*", "cache/fit-*", "cache/focus-*", "cache/samples-*"],
     code: code::VIEWS,
 };
 

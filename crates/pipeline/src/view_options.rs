@@ -4,7 +4,7 @@
 use std::str::FromStr;
 
 use crate::error::PipelineError;
-use crate::job::{Engine, Job};
+use crate::job::{Denoise, Engine, Job};
 
 /// Options of `render_views`.
 #[derive(Clone, Debug, Default)]
@@ -136,14 +136,24 @@ impl ViewOptions {
             if job.render.engine == Engine::Blender {
                 return fail("--layers", "our path tracer for the layer `variance`", "`--engine blender`".into());
             }
-            let least = if denoise.takes_halves() { 3 } else { 2 };
-            let samples = job.render.samples_of_view(views);
-            if samples < least {
+            // A measured number of paths is not known yet; see `least_samples`.
+            let (least, samples) = (self.least_samples(denoise), job.render.samples_of_view(views));
+            if samples < least && !job.render.samples_are_measured() {
                 let expected = format!("at least {least} paths per pixel and view for the layer `variance`");
                 return fail("--layers", &expected, samples.to_string());
             }
         }
         Ok(())
+    }
+
+    /// Returns the smallest number of paths per pixel and view that the channels need. The variance
+    /// of a mean needs two paths, or three if the filter compares two halves of the paths.
+    pub(crate) fn least_samples(&self, denoise: Denoise) -> u32 {
+        match (self.variance(), denoise.takes_halves()) {
+            (false, _) => 1,
+            (true, false) => 2,
+            (true, true) => 3,
+        }
     }
 
     /// Returns the views to render, `[view_y, view_x]`, in row order. `views` is [number of rows,

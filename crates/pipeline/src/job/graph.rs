@@ -74,7 +74,7 @@ pub struct NodeJob {
 }
 
 impl NodeJob {
-    /// Name of the built-in factorizer as a node of a job. The table `factorize` has its parameters.
+    /// Name of the built-in factorizer as a node of a job. Its parameters are in `factorize`.
     pub const TENSOR_DISPLAY: &'static str = "tensor-display";
 }
 

@@ -247,8 +247,9 @@ impl<'a> Executor<'a> {
             let LastSteps { in_folder, in_memory } = self.ends[part];
             if in_folder == index {
                 let views = std::mem::take(&mut self.context.states[part].views);
-                if self.context.states[part].field.is_some() {
-                    used::keep_only_views(&self.context.dir(part), &views)?;
+                match self.context.states[part].field {
+                    Some(_) => used::keep_only_views(&self.context.dir(part), &views)?,
+                    None => used::remove_tiles(&self.context.dir(part)),
                 }
                 self.context.states[part].owned = None;
             }
@@ -326,7 +327,12 @@ impl LastSteps {
             if is_whole
                 || matches!(
                     step.kind,
-                    StepKind::Ingest | StepKind::Place | StepKind::Trace | StepKind::Read | StepKind::Source
+                    StepKind::Ingest
+                        | StepKind::Place
+                        | StepKind::Trace
+                        | StepKind::Expose
+                        | StepKind::Read
+                        | StepKind::Source
                 )
             {
                 continue;

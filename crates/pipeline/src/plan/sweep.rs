@@ -93,7 +93,7 @@ pub(crate) fn execute_design(
     executor.read_back(&step.inputs)?;
     let mut fields: Vec<Option<Shared>> = designs.fields.iter().map(|_| None).collect();
     fields[candidate.field] = shared(&mut executor, &designs.fields[candidate.field], job)?;
-    let solver = Solver { job, fields, folder: plan.folder.join("designs"), later: later(job), registry };
+    let solver = Solver::new(job, fields, plan.folder.join("designs"), later(job), registry)?;
     std::fs::create_dir_all(&solver.folder).map_err(PipelineError::write(&solver.folder))?;
     solver.solve(candidate, job.factorize.iterations(), task.cancel).map(|_| ())
 }
@@ -125,7 +125,14 @@ pub(crate) struct Designs {
 /// If a design is invalid, or no design satisfies the constraints of a search.
 pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Designs, PipelineError> {
     sweep.check()?;
-    job.factorize.check_needs_no_device("designs of a sweep are solved")?;
+    let of_nodes = job.nodes.iter().filter_map(|node| node.factorize.as_ref());
+    for factorize in std::iter::once(&job.factorize).chain(of_nodes) {
+        factorize.check_needs_no_device("designs of a sweep are solved")?;
+        if let Some(path) = &factorize.warm_start {
+            let expected = "no warm start in a sweep, since its designs have patterns of different shapes";
+            return Err(PipelineError::job("factorize.warm_start", expected, path.display().to_string()));
+        }
+    }
     let root = plan.add_part(PathBuf::new(), PartKind::Sweep, job.clone(), None);
     let (candidates, jobs) = designs::all(job, sweep)?;
     let candidates = match &sweep.search {
@@ -189,7 +196,7 @@ pub(crate) fn execute(
         fields.push(shared(&mut executor, parts, job)?);
     }
     // Solve all designs, or the designs that the search selects.
-    let solver = Solver { job, fields, folder: dir.join("designs"), later: later(job), registry };
+    let solver = Solver::new(job, fields, dir.join("designs"), later(job), registry)?;
     let sweep = Sweep { solver, used: Mutex::default(), task };
     let (rows, kept, proposed) = match job.sweep.as_ref().and_then(|sweep| sweep.search.as_ref()) {
         None => {

@@ -236,6 +236,11 @@ fn moved(window: &Window, sequence: &SequenceJob, share: f64) -> Window {
     Window { scene_from_display, ..*window }
 }
 
+/// Returns the pose of the first time step. Without a sequence, it is the pose of the job.
+pub(crate) fn first_pose(job: &Job) -> PoseJob {
+    job.sequence.as_ref().map_or_else(|| job.pose.clone(), |sequence| pose_at(job, sequence, 0.0))
+}
+
 /// Returns the pose after a fraction of the sequence's duration.
 fn pose_at(job: &Job, sequence: &SequenceJob, share: f64) -> PoseJob {
     let mut pose = job.pose.clone();

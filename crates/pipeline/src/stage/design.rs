@@ -18,7 +18,7 @@ use lumistack_plugin_host::Registry;
 
 use super::device::SolverDevice;
 use super::factorize::Solve;
-use super::field::{Field, add_weights, eye_weights};
+use super::field::{Field, add_weights, weights};
 use super::node;
 use super::node::NodeInput;
 use super::score::References;
@@ -26,7 +26,8 @@ use crate::error::{PipelineError, display_error};
 use crate::job::{FactorizeJob, Job, NodeJob};
 use crate::store::code;
 use crate::store::files::{read_json, write_json};
-use crate::store::key::KeyBuilder;
+use crate::store::key::{KeyBuilder, content_hash};
+use crate::store::plugin_files::plugin_key;
 
 /// A design to solve, with its display.
 #[derive(Clone, Debug)]
@@ -50,7 +51,7 @@ impl Shared {
     /// Computes the hash of the light fields.
     ///
     /// # Errors
-    /// If expected eye positions are invalid.
+    /// If expected eye positions are invalid, or the weights do not match a light field.
     pub(crate) fn new(
         times: Vec<Arc<Field>>,
         references: Vec<Option<Arc<References>>>,
@@ -62,7 +63,7 @@ impl Shared {
                 key.add("geometry", format!("{:?}", field.geometry()).as_bytes());
                 key.add_field("radiance", field);
             }
-            add_weights(&mut key, &eye_weights(&job.factorize, time.target.geometry())?);
+            add_weights(&mut key, &weights(&job.factorize, time.target.geometry())?);
         }
         for references in references.iter().flatten() {
             key.add("references", references.key.as_bytes());
@@ -81,8 +82,30 @@ pub(crate) struct Solver<'a> {
     pub(crate) fields: Vec<Option<Shared>>,
     /// Folder of the rows' files.
     pub(crate) folder: PathBuf,
-    pub(crate) later: Later,
-    pub(crate) registry: &'a Registry,
+    later: Later,
+    registry: &'a Registry,
+    /// Hash of everything about the job's nodes on which rows depend.
+    nodes: String,
+}
+
+/// Returns the hash of a job's nodes: their settings, the content of their files, and the code of
+/// their plugins.
+fn nodes_key(job: &Job, registry: &Registry) -> Result<String, PipelineError> {
+    let mut key = KeyBuilder::new("nodes", code::DESIGNS);
+    for node in &job.nodes {
+        key.add_json("node", node);
+        if let Some(display) = &node.display {
+            key.add("display", display.resolve()?.to_toml().as_bytes());
+        }
+        if !node::is_factorized(Some(node)) {
+            key.add("plugin", plugin_key(registry, &node.plugin, &node.params)?.as_bytes());
+        }
+        if let Some(path) = node.factorize.as_ref().and_then(|own| own.weights.as_ref()) {
+            let hash = content_hash(path).map_err(|source| PipelineError::Read { path: path.clone(), source })?;
+            key.add("weights", hash.as_bytes());
+        }
+    }
+    Ok(key.finish())
 }
 
 /// Drops warnings, since a warning for each design of a large sweep has no use.
@@ -100,7 +123,21 @@ struct Errors {
     brightness: f64,
 }
 
-impl Solver<'_> {
+impl<'a> Solver<'a> {
+    /// Makes a solver.
+    ///
+    /// # Errors
+    /// If a node's display is invalid, its plugin is missing, or one of its files cannot be read.
+    pub(crate) fn new(
+        job: &'a Job,
+        fields: Vec<Option<Shared>>,
+        folder: PathBuf,
+        later: Later,
+        registry: &'a Registry,
+    ) -> Result<Self, PipelineError> {
+        Ok(Self { job, fields, folder, later, registry, nodes: nodes_key(job, registry)? })
+    }
+
     /// Returns the row of a design, the name of the row's file, and true if the row was cached.
     ///
     /// # Errors
@@ -130,7 +167,7 @@ impl Solver<'_> {
             key.add_json("later times", &(self.later)(job));
         }
         if !self.job.nodes.is_empty() {
-            key.add_json("nodes", &self.job.nodes);
+            key.add("nodes", self.nodes.as_bytes());
         }
         let name = format!("{}.json", &key.finish()[..24]);
         let path = self.folder.join(&name);
@@ -199,6 +236,11 @@ impl Solver<'_> {
         let task = Task { progress: &NoProgress, warnings: &Silent, cancel };
         let own = of_node.and_then(|node| node.display.as_ref()).map(|display| display.resolve()).transpose()?;
         let factorize = of_node.and_then(|node| node.factorize.as_ref()).unwrap_or(&self.job.factorize);
+        // A search first solves designs with few iterations. Nodes have at most these iterations
+        // then, and otherwise their own.
+        let is_whole = iterations == self.job.factorize.iterations();
+        let own_iterations = factorize.iterations();
+        let iterations = if is_whole { own_iterations } else { iterations.min(own_iterations) };
         let first = FactorizeJob { iterations: Some(iterations), ..factorize.clone() };
         let mut before: Option<LayerStack> = None;
         let mut all = Vec::new();
@@ -209,7 +251,7 @@ impl Solver<'_> {
                 (Some(of_node), Some(own)) => node::display(of_node, own, design, target.geometry())?.0,
                 _ => design.clone(),
             };
-            let weights = eye_weights(factorize, target.geometry())?;
+            let weights = weights(factorize, target.geometry())?;
             // Make the patterns: by a node plugin, or by a solver with or without a warm start.
             let stack = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
                 Some(node) => {

@@ -99,8 +99,15 @@ pub(crate) struct Convergence {
     pub(crate) start: String,
     pub(crate) coarse_levels: u32,
     pub(crate) kkt_residual: f64,
-    pub(crate) levels: Option<[f64; 3]>,
+    /// PSNR of the continuous, rounded and reoptimized patterns, dB. A value is `None` if the
+    /// patterns are exact, since JSON has no infinity.
+    pub(crate) levels: Option<[Option<f64>; 3]>,
     pub(crate) steps: Vec<Step>,
+}
+
+/// Returns a PSNR in the form of the JSON file.
+fn finite(psnr: f64) -> Option<f64> {
+    psnr.is_finite().then_some(psnr)
 }
 
 /// A point of the convergence curve, in the form of the JSON file.
@@ -116,7 +123,7 @@ pub(crate) struct Step {
 
 impl Step {
     pub(crate) fn of(step: &lumistack_factorizer::Iteration, seconds: f64) -> Self {
-        let psnr_view = step.psnr_view.is_finite().then_some(step.psnr_view);
+        let psnr_view = finite(step.psnr_view);
         Self { iteration: step.iteration, objective: step.objective, psnr_view, seconds }
     }
 }
@@ -129,9 +136,10 @@ impl Convergence {
     ) -> Self {
         let lumistack_plugin_host::Solution { solver, start, coarse_levels, kkt_residual, levels } = solution;
         let steps = steps.iter().map(|&(at, seconds)| {
-            let psnr_view = at.psnr_view.is_finite().then_some(at.psnr_view);
+            let psnr_view = finite(at.psnr_view);
             Step { iteration: at.iteration, objective: at.objective, psnr_view, seconds }
         });
+        let levels = levels.map(|levels| levels.map(finite));
         Self { solver, start, coarse_levels, kkt_residual, levels, steps: steps.collect() }
     }
 
@@ -143,7 +151,7 @@ impl Convergence {
             start: start.into(),
             coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
             kkt_residual: factorization.kkt_residual,
-            levels: factorization.levels.map(|loss| [loss.continuous, loss.rounded, loss.reoptimized]),
+            levels: factorization.levels.map(|loss| [loss.continuous, loss.rounded, loss.reoptimized].map(finite)),
             steps,
         }
     }
@@ -158,6 +166,7 @@ impl Convergence {
             seconds: step.seconds,
         });
         let steps = steps.collect();
+        let levels = levels.map(|levels| levels.map(|psnr| psnr.unwrap_or(f64::INFINITY)));
         Solved { stack, steps, solution: Some(Solution { solver, start, coarse_levels, kkt_residual, levels }) }
     }
 }

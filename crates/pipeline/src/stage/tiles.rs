@@ -374,10 +374,8 @@ impl Work<'_> {
             });
             let steps: Vec<_> = steps.collect();
             before = steps.last().map_or(before, |step| step.seconds);
-            let levels = first
-                .levels
-                .is_some()
-                .then(|| [0, 1, 2].map(|i| psnr(&|kept| kept.levels.map(|levels| levels[i])).unwrap_or(f64::INFINITY)));
+            let level = |i: usize| psnr(&|kept| kept.levels?[i]);
+            let levels = first.levels.is_some().then(|| [0, 1, 2].map(level));
             let kkt_residual = mean(&|kept| kept.kkt_residual.powi(2)).sqrt();
             let mut kept = all.take().unwrap_or_else(|| Convergence { steps: Vec::new(), ..first.clone() });
             (kept.kkt_residual, kept.levels) = (kkt_residual, levels);

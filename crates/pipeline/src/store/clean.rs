@@ -14,12 +14,12 @@ use super::handover;
 use super::left_overs::{entries, is_folder, left_overs, parts};
 use super::lock::{OWNER, lock_known, lock_preview};
 use super::names::is_ours;
-use super::used::{USED, Used, all_views, unused_in, unused_views};
+use super::used::{TILES, USED, Used, all_views, unused_in, unused_views};
 use crate::error::PipelineError;
 
-/// Kinds of small files that cache the placement of the window. No other result depends on these
-/// files.
-const PLACED: [&str; 3] = ["side", "window", "fit"];
+/// Kinds of small files that cache the placement of the window, and the measured number of paths. No
+/// other result depends on these files.
+const PLACED: [&str; 5] = ["side", "window", "fit", "focus", "samples"];
 
 /// Files that `lumistack clean` removed, or would remove.
 #[derive(Clone, Debug, Serialize)]
@@ -145,7 +145,9 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
     kinds.push(("scenes that Blender converted", stale.map(|(_, path)| path).collect()));
     if all {
         let placed = placed.into_iter().filter(|(name, _)| of_kind(name, &PLACED));
-        kinds.push(("cached positions of the window", placed.map(|(_, path)| path).collect()));
+        kinds.push(("cached measurements of the scene", placed.map(|(_, path)| path).collect()));
+        let tiles = cache.join(TILES);
+        kinds.push(("patterns of tiles", if is_folder(&tiles) { vec![tiles] } else { Vec::new() }));
         let warm_up = cache.join("warm-up");
         kinds.push(("cached warm-up time steps", if is_folder(&warm_up) { vec![warm_up] } else { Vec::new() }));
     }

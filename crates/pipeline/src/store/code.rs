@@ -61,6 +61,8 @@ pub(crate) const DESIGNS: Code = &[
     DISPLAY,
     SIMD,
     lumistack_factorizer::FINGERPRINT,
+    lumistack_plugin_host::PLUGIN_FINGERPRINT,
+    lumistack_plugin_host::FINGERPRINT,
     lumistack_design::FINGERPRINT,
     lumistack_plot::FINGERPRINT,
 ];

@@ -84,7 +84,7 @@ fn check_inputs(dir: &Path, work: Work, job: &Job, registry: &Registry) -> Resul
 }
 
 /// Returns every file and folder that a job reads, with its role.
-fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
+pub(crate) fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
     let mut job = job.clone();
     let mut list: Vec<(&str, PathBuf)> = Vec::new();
     let named = [

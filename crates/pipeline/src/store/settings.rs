@@ -9,7 +9,7 @@ use lumistack_display::Display;
 
 use super::files::write;
 use crate::error::PipelineError;
-use crate::job::Job;
+use crate::job::{DisplayJob, Job};
 
 const SEAL: &str = "# Written by Lumistack; the next run into this folder replaces it. BLAKE3 of the rest: ";
 
@@ -19,6 +19,16 @@ pub(crate) fn write_job(job: &Job, dir: &Path) -> Result<(), PipelineError> {
     for path in job.paths_mut() {
         if let Ok(absolute) = std::path::absolute(&*path) {
             *path = absolute;
+        }
+    }
+    // An axis of a sweep names files and presets. A path that is not UTF-8 cannot occur here.
+    let folder = job.folder.clone();
+    for name in job.sweep.iter_mut().flat_map(|sweep| &mut sweep.displays) {
+        if let Some(file) = DisplayJob::by_name_or_path(&*name).file
+            && let Ok(absolute) = std::path::absolute(folder.join(file))
+            && let Some(text) = absolute.to_str()
+        {
+            *name = text.to_owned();
         }
     }
     write_sealed(&dir.join("job.toml"), &job.to_toml())

@@ -50,8 +50,13 @@ pub(crate) fn keep_only_views(dir: &Path, used: &[PathBuf]) -> Result<(), Pipeli
         write_json(&cache.join(USED), &used)?;
     }
     remove_all(&unused_views(&cache, &used));
-    remove_all(&[cache.join(TILES)]);
+    remove_tiles(dir);
     Ok(())
+}
+
+/// Removes the results of tiles, which no later work in `dir` uses.
+pub(crate) fn remove_tiles(dir: &Path) {
+    remove_all(&[dir.join("cache").join(TILES)]);
 }
 
 /// Records which light fields (by their numbers) and which files of rows the sweep in `dir` used.

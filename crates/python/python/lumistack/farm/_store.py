@@ -195,6 +195,8 @@ class Mirror:
         self.folder.mkdir()
         self.begun = False
         self.taken: set[str] = set()
+        # The lists of the folders that the client sent, as they were copied.
+        self.sent: dict[int, list[dict[str, Any]] | None] = {}
 
     @classmethod
     def of(cls, url: str, plan: str) -> Mirror:
@@ -214,8 +216,12 @@ class Mirror:
         maps = []
         for number, source in enumerate(sent):
             to = self.place / f"sent{number}"
-            if not self.begun:
-                missing += run.store.pull([f"{run.plan}/sent/{number}.json"], to)
+            # The client sends a folder again if its files changed, so the list is read for each unit.
+            name = f"{run.plan}/sent/{number}.json"
+            entries = run.store.entries(name)
+            if entries is None or entries != self.sent.get(number):
+                missing += run.store.pull([name], to)
+                self.sent[number] = entries
             maps.append(f"{source}={to}")
         if missing:
             raise StoreError(f"{run.store.url}: expected {missing[0]}, found nothing")
