@@ -259,7 +259,7 @@ fn a_window_moves_through_a_scene() {
     };
     assert!((exposure("t0003") / exposure("t0001") - 1.0).abs() < SAME_EXPOSURE);
     assert!(files(&run.join("t0001/target")) != files(&run.join("t0002/target")));
-    assert!(times(&run)[1]["source"].as_str().unwrap().contains("turned by 15.0°, moved by (10.0, 0.0, 0.0) mm"));
+    assert!(times(&run)[1]["source"].as_str().unwrap().contains("turned by 15.0° and moved by (10.0, 0.0, 0.0) mm"));
     assert!(!run.join("t0002/report.html").exists());
     // every time step has its own job; a run of this job uses the cached results
     let patterns = files(&run.join("t0002/layers"));

@@ -3,8 +3,8 @@
 
 use std::path::Path;
 
-/// Returns a sentence for a missing camera and a sentence for missing lights. Each states the
-/// replacement and the option that changes it. For a glTF file that lacks any of them, a last
+/// Returns a sentence for a missing camera and a sentence for missing lights. Each sentence states
+/// the replacement and the option that changes it. If a glTF file lacks a camera or lights, a last
 /// sentence names the settings of Blender's export.
 pub fn lacking(path: &Path, no_camera: bool, no_lights: bool) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();

@@ -57,7 +57,7 @@ pub enum PipelineError {
     InUse {
         /// The folder.
         folder: PathBuf,
-        /// Process and host of the other run.
+        /// The process that uses the folder, with its host if it is known.
         owner: String,
     },
     /// The folder has no plan of units of work.

@@ -82,7 +82,7 @@ pub struct UnitDone {
     pub id: String,
     /// Time from the start of the unit to its end, with the wait for its inputs, seconds.
     pub seconds: f64,
-    /// True if the unit was already done.
+    /// True if the unit was done before this call.
     pub cached: bool,
 }
 
@@ -98,8 +98,8 @@ impl FarmPlan {
     }
 
     /// Returns the graph of units in a run folder. The command line of a unit is `command`, the
-    /// folder and the unit's id. Units that are done have their measured time, all other units have
-    /// an estimate.
+    /// folder and the unit's id. The time of a unit is measured if the unit is done, and otherwise
+    /// estimated.
     pub fn graph(&self, dir: &Path, command: Vec<String>) -> Graph {
         let folder = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()).to_string_lossy().into_owned();
         let mut units = self.units.clone();

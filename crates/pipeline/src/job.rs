@@ -404,7 +404,7 @@ impl Job {
 }
 
 impl Job {
-    /// Checks that names of nodes and outputs are unique, and that every output's input exists.
+    /// Checks names of nodes and outputs, tables that a node does not use, and inputs of outputs.
     fn check_graph(&self) -> Result<(), PipelineError> {
         let fail = |key: String, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         // Names of nodes are names of folders, so they must be unique, and have only characters
@@ -481,8 +481,8 @@ impl Job {
     }
 }
 
-/// Returns true if a text has 1 to 100 characters, all of which every system allows in names of
-/// folders.
+/// Returns true if a text has 1 to 100 characters, and all of them are ASCII letters, ASCII digits,
+/// `-` or `_`. Every system allows these characters in names of folders.
 fn is_folder_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= 100 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
 }

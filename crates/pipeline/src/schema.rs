@@ -1,9 +1,9 @@
 //! JSON Schemas of job and display files, for completion and checks in editors.
 //!
 //! Structure, defaults and descriptions come from the types that read the files. Parameters of
-//! plugins come from the declarations of the plugins, with their ranges. For all other keys, the
-//! schema states no range, except the minimum 0 of unsigned integers. The program checks the
-//! ranges of these keys.
+//! plugins come from the declarations of the plugins, with their ranges. For most other keys, the
+//! schema states no range, except the minimum 0 of unsigned integers. The program checks all
+//! ranges.
 
 use lumistack_display::Display;
 use lumistack_plugin_host::{Kind, Param, PluginInfo, Registry};

@@ -21,8 +21,8 @@ pub struct ViewOptions {
 /// An additional channel of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExtraChannel {
-    /// Depth z of the first hit on the path nearest to the pixel's centre, in display space,
-    /// millimetres.
+    /// Depth z in display space, millimetres: of the first hit on the path nearest to the pixel's
+    /// centre. In a scene with splats, of the first surface or splat at the pixel's centre.
     Depth,
     /// Mean shading normal of the first hits.
     Normal,
@@ -200,7 +200,7 @@ mod tests {
         assert_eq!(chosen(&["1,2"]).unwrap(), [[1, 2]]);
         assert_eq!(chosen(&["2,0..1", "0,*", "0,3"]).unwrap(), [[0, 0], [0, 1], [0, 2], [0, 3], [2, 0], [2, 1]]);
         let error = chosen(&["3,0"]).unwrap_err().to_string();
-        assert!(error.contains("a row from 0 to 2, of 3 rows × 4 columns, found 3"), "{error}");
+        assert!(error.contains("a row from 0 to 2 (the views have 3 rows and 4 columns), found 3"), "{error}");
         for wrong in ["1", "a,1", "2..1,0", "1,2,3", "-1,0", ""] {
             assert!(wrong.parse::<ViewSelection>().is_err(), "{wrong}");
         }

@@ -1,5 +1,5 @@
-//! Renders every glTF and USD file of a folder, and writes the page that compares each with
-//! Blender.
+//! Renders every glTF and USD file of a folder, and writes a page that compares our renders with
+//! Blender's.
 //!
 //! ```text
 //! gallery render SCENES OUT [--size COLSxROWS] [--samples N] [--turn DEG]

@@ -41,8 +41,7 @@ pub(super) fn zone_of(run: &Path) -> Option<ZoneLikeness> {
 /// Maximum number of compared views of a target, per axis.
 const MOST_VIEWS: usize = 5;
 
-/// Returns a selection of a grid's views: evenly spread, including the middle and the outermost
-/// views.
+/// Returns a selection of a grid's views, evenly spread, including the outermost views.
 pub(super) fn some_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let [rows, cols] = grid.views().map(|count| spread(count, MOST_VIEWS));
     rows.iter().flat_map(|&row| cols.iter().map(move |&col| [row, col])).collect()

@@ -61,8 +61,8 @@ pub struct NodeJob {
     /// Id of a node plugin; see `lumistack plugins`.
     #[serde(default = "default_node")]
     pub plugin: String,
-    /// Display of the node, with the light field's resolution and views. Default: the display of
-    /// the job.
+    /// Display of the node. Its resolution and views become those of the light field. Default: the
+    /// display of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub display: Option<DisplayJob>,
     /// Factorizer settings of a `tensor-display`. Default: the factorizer settings of the job.

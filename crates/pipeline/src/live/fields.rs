@@ -45,7 +45,8 @@ pub struct LiveFields {
     placement: Option<(Value, Placement)>,
     views: Option<(Value, Progressive)>,
     tone_mapping: Option<(Value, ToneMapping)>,
-    /// Key of the light field that was returned last.
+    /// Key of the light field that was returned last, or of a file that was read last, even if the
+    /// file could not be read.
     shown: Option<Value>,
     /// Number of reloads. It is part of every key of a result from files, so a reload makes these
     /// results anew.
@@ -54,10 +55,10 @@ pub struct LiveFields {
 }
 
 impl LiveFields {
-    /// Prepares a job; `cache` is a folder for scenes that other programs convert.
+    /// Prepares a job; `cache` is a folder for scenes that Blender converts.
     ///
     /// # Errors
-    /// If the job is wrong, or has more than one display.
+    /// If the job is wrong, or has nodes, a sweep, a sequence or a source.
     pub fn new(job: Job, cache: &Path) -> Result<Self, PipelineError> {
         let display = Arc::new(display_of(&job)?);
         let (scene, placement, views, tone_mapping, shown) = (None, None, None, None, None);

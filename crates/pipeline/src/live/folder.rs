@@ -57,7 +57,7 @@ impl LiveFolder {
         write_display(&dir.join("display.toml"), &target.display)?;
         lumistack_field_io::write_field(&dir.join("target"), &target.field, &Map::new()).map_err(field_error)?;
         lumistack_field_io::write_stack(&dir.join("layers"), &target.display, &state.stack).map_err(field_error)?;
-        // The report has the solver's weights, which are large near the viewers.
+        // The report uses the solver's weights, which are large for rays to the viewers' eyes.
         let weights = state
             .boxes
             .weights(target.field.geometry(), &target.weights)

@@ -22,8 +22,8 @@ use crate::stage::fields::{FieldJob, Shot};
 /// Number of paths per pixel that measure the fraction of the pixel in which the background is
 /// visible.
 const MISSED_SAMPLES: u32 = 4;
-/// The indices of four of a pixel's values in a [`SplitView`]: the hit surface's normal (three
-/// values) and depth (one value). These values are 0 without a hit.
+/// Range of a pixel's values in a [`SplitView`] that are the hit surface's normal (three values)
+/// and depth (one value). These values are 0 without a hit.
 const SURFACE: std::ops::Range<usize> = 9..13;
 
 /// Views in progress.

@@ -162,7 +162,8 @@ fn keys(plan: &Plan, records: &Records, registry: &Registry) -> Vec<Option<Strin
     keys
 }
 
-/// Returns the job of a part, without paths that depend on the run folder.
+/// Returns the job of a part. For time steps after the first, the job lacks `warm_start`, since
+/// this path depends on the run folder.
 fn settings(plan: &Plan, part: usize) -> Job {
     let mut job = plan.parts[part].job.clone();
     if plan.time(part).is_some_and(|(time, _)| time > 0) {
@@ -400,7 +401,7 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;
     let Some(sizes) = &sizes[step.part] else { return 0.0 };
-    // Each ray through splats has no noise, so one ray per pixel is enough.
+    // Renders of splats have no noise, so one ray per pixel is enough.
     let is_capture = job.scene.as_deref().is_some_and(is_capture);
     let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
     // Count the units of the step's stage.
@@ -446,10 +447,10 @@ fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     }
 }
 
-/// Returns the number of multiply-adds that take as long as one unit of a stage's work. The number
-/// includes memory accesses. The numbers were measured with the jobs of `scenes` and with
-/// FlightHelmet, on two cores. Most scenes take between a third of the estimated time and all of
-/// it. Scenes with glass or with many lights take longer.
+/// Returns the number of multiply-adds that take as long as one unit of a stage's work, including
+/// the unit's memory accesses. The numbers were measured with the jobs of `scenes` and with
+/// FlightHelmet, on two cores. Most scenes take 33 % to 100 % of the estimated time. Scenes with
+/// glass or with many lights take longer.
 fn cost(stage: &str) -> f64 {
     match stage {
         "ingest" => 1e8,

@@ -1,8 +1,8 @@
 //! Executes plans step by step. Each step finds the results of its inputs in memory.
 //!
 //! A result is dropped from memory after the last step that reads it. If an input is not in memory,
-//! the step that makes this input is executed first. If the run folder has the current result of
-//! that step, it is only read. So a process can execute any single step.
+//! the step that makes this input is executed first. That step only reads its result from the run
+//! folder, if the result there is current. So a process can execute any single step.
 
 pub(crate) mod check;
 pub(crate) mod context;
@@ -65,7 +65,8 @@ impl<'a> Executor<'a> {
     pub(crate) fn execute(&mut self) -> Result<(), PipelineError> {
         self.context.check()?;
         let is_design = |step: &Step| matches!(self.context.plan.parts[step.part].kind, PartKind::Sweep);
-        // Skip the designs of a sweep, which `plan/sweep.rs` solves in parallel.
+        // Skip the designs and the table of a sweep. `plan/sweep.rs` makes them, and solves designs
+        // in parallel.
         let steps = (0..self.context.plan.steps.len()).filter(|index| !is_design(&self.context.plan.steps[*index]));
         let result = steps.collect::<Vec<_>>().into_iter().try_for_each(|index| {
             self.run(index)?;
@@ -169,8 +170,9 @@ impl<'a> Executor<'a> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
         for input in &step.inputs {
-            // Execute the input, unless it is done; in a whole plan, earlier steps are always done.
-            // A unit of work skips the patterns of a warm start, which it reads from their files.
+            // Execute the step of the input, unless it is done. In a whole plan, it is always done.
+            // A unit of work reads the patterns of a warm start from their files, so it does not
+            // execute the step that makes them.
             let input = self.index(input)?;
             let of_file = self.unit.is_some() && [step.kind, plan.steps[input].kind] == [StepKind::Patterns; 2];
             if !of_file {
@@ -208,8 +210,8 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Locks the folder of a part and the folders around it, since another process may run such a
-    /// folder's job alone. The caller has locked the run folder.
+    /// Locks the folder of a part and the folders that contain it, since another process may run
+    /// the job of any of these folders. The caller has locked the run folder.
     fn enter(&mut self, part: usize) -> Result<(), PipelineError> {
         let of_part = &self.context.plan.parts[part];
         let Some(parent) = of_part.parent else { return Ok(()) };

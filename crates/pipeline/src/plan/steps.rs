@@ -78,7 +78,7 @@ pub(crate) enum StepKind {
     Measure,
     /// Report of the part, which is a display, a graph, a sequence or a sweep.
     Report,
-    /// A design of a sweep, by its number.
+    /// A design of a sweep, by its number from 0.
     Design(usize),
     /// All designs of a search. The search solves only some of them to the last iteration.
     Search,
@@ -99,9 +99,9 @@ pub(crate) struct Part {
 /// Kinds of parts.
 #[derive(Clone, Debug)]
 pub(crate) enum PartKind {
-    /// A still, or several nodes with one light field.
+    /// A still, several nodes with one light field, or a light field of a sweep.
     Run,
-    /// A node of the parent part, by its number.
+    /// A node of the parent part, by its number from 0.
     Node(usize),
     /// A sequence; its time steps are parts within it.
     Sequence(Times),

@@ -62,8 +62,8 @@ pub(crate) struct TimeBefore {
 /// Adds the steps of a display: patterns, outputs, for a time step also error and flicker, and a
 /// report if `reports` is true.
 ///
-/// If `before` has no warm-up time steps, the solver starts from its patterns. Returns the ids of
-/// the step that makes the patterns and of the last step.
+/// If `before` has no warm-up time steps, the solver starts from `before.patterns`. Returns two
+/// ids: of the step that makes the patterns, and of the last step.
 pub(crate) fn add_display(
     plan: &mut Plan,
     part: usize,

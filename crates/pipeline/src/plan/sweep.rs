@@ -1,5 +1,5 @@
-//! Sweeps: they solve many designs, which differ in layers, frames, β, gaps, fields of view or
-//! lenslets, and list the scores of each design.
+//! Sweeps: they solve many designs, and list the scores of each design. Designs differ in display,
+//! layers, frames, β, gaps, fields of view or lenslets.
 //!
 //! ```text
 //! job + [sweep] ─▶ designs ─┬─ by light field ─▶ fields/1/target ─┬─▶ designs/KEY.json

@@ -17,9 +17,9 @@ use crate::stage::node::is_factorized;
 
 /// The solver for time steps after the first one, if the job has the solver `auto`.
 ///
-/// If few iterations start from patterns of another target, extrapolation overshoots. These values
-/// were measured with content that moves 2 pixels per time step (3 layers, 6 frames, 160 × 100
-/// pixels, 5 × 5 views, 5 iterations):
+/// If a solve starts from the patterns of another target and has few iterations, extrapolation
+/// overshoots. These values were measured with content that moves 2 pixels per time step (3 layers,
+/// 6 frames, 160 × 100 pixels, 5 × 5 views, 5 iterations):
 ///
 /// | β | solver | PSNR (dB) | flicker (dB) |
 /// |---|---|---|---|
@@ -31,8 +31,8 @@ use crate::stage::node::is_factorized;
 /// If there are more than 8 to 12 iterations, extrapolation gives a higher PSNR, but no better
 /// flicker score.
 ///
-/// Patterns are not moved with the content. Moved patterns are a start that is 4 dB better, but the
-/// result is only 0.1 to 0.4 dB better. This gain is not worth the memory of a second target.
+/// Patterns are not moved with the content. Moved patterns would make the start 4 dB better, but
+/// the result only 0.1 to 0.4 dB better. This gain is not worth the memory of a second target.
 const WARM_SOLVER: &str = "block-exact";
 
 /// Folder in the folder of a sequence. For each time step that begins a chunk, it contains patterns
@@ -339,7 +339,7 @@ mod tests {
                 paths.iter().map(|p| p.file_name().unwrap().to_string_lossy().into_owned()).collect::<Vec<_>>()
             })
         };
-        assert!(list(None).unwrap_err().to_string().contains("found 0 light fields"));
+        assert!(list(None).unwrap_err().to_string().contains("found 0 (folders"));
         std::fs::write(folder.path().join("notes.txt"), "").unwrap();
         std::fs::write(folder.path().join("a_qs3x3.png"), "").unwrap();
         assert_eq!(list(None).unwrap(), ["a_qs3x3.png"]);

@@ -51,7 +51,7 @@ pub(crate) fn write_channels(
                 Some(guides) if ingested.scene.placed_clouds.is_empty() => {
                     pixels().map(|(row, col)| guides.at(row, col).central_z_mm.map_or(f32::NAN, shown)).collect()
                 }
-                // The renderer computes the depth of splats separately.
+                // Guides contain only surfaces. With splats, the renderer traces the depth.
                 _ => renderer.depth(window, traced, view, task)?.data().iter().map(|z| shown(*z)).collect(),
             };
             channels.push((ExtraChannel::Depth.channels()[0], depth));

@@ -38,8 +38,8 @@ pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
 
-/// To check a filter, some pixels are rendered again. Each of these renders has the number of paths
-/// of a view, multiplied by this factor.
+/// To check a filter, some pixels are rendered again, twice with different seeds. Each time, a
+/// pixel gets the number of paths of a view, multiplied by this factor.
 const CHECK_FACTOR: u32 = 2;
 /// Maximum number of views whose pixels are rendered again to check a filter. This number of views,
 /// spread over the viewing zone, suffices to judge a filter.
@@ -86,7 +86,8 @@ pub(crate) fn check(kind: Denoise, job: &Job, geometry: &FieldGeometry) -> Resul
     }
 }
 
-/// Filters all views that are not filtered yet. Returns true if all views were filtered already.
+/// Filters every light field whose filtered views are not all in the cache. Returns true if the
+/// cache already had all filtered views.
 ///
 /// # Errors
 /// If cancelled, if a file cannot be written, or if Open Image Denoise fails.
@@ -102,7 +103,8 @@ pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result
     Ok(cached)
 }
 
-/// Returns true if all filtered views of a light field are in the cache.
+/// Returns true if all filtered views of a light field are in the cache, or if `kind` does not
+/// filter.
 pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     let folder = field.finished(kind);
     let is_there = |view| read_view(&view_path(&folder, view, None), &field.traced).is_some();

@@ -24,7 +24,8 @@ use crate::store::stamps::Stamps;
 pub(crate) struct Solved {
     pub(crate) stack: LayerStack,
     pub(crate) steps: Vec<Iteration>,
-    /// The solver's settings and the quality of its result; `None` if a node plugin reports none.
+    /// The solver's settings and the quality of its result; `None` if a node plugin does not report
+    /// them.
     pub(crate) solution: Option<Solution>,
 }
 
@@ -74,7 +75,7 @@ impl Solve<'_> {
             .map_err(factorize_error)
     }
 
-    /// Returns true if the patterns `warm` are a better start of `solver` than a fresh start, by
+    /// Returns true if the patterns `warm` are a better start for `solver` than a fresh start, by
     /// the rule of [`lumistack_factorizer::warm_start_pays`]. The processor computes the objectives
     /// for every device, so all machines make the same choice.
     ///

@@ -27,7 +27,7 @@ pub(crate) struct Shot<'a> {
     /// Geometry of the display's light field.
     pub(crate) geometry: &'a FieldGeometry,
     pub(crate) display: &'a Display,
-    /// Measured number of paths, if the job sets no number.
+    /// Measured number of paths, if it was measured.
     pub(crate) samples: Option<Samples>,
 }
 
@@ -42,8 +42,8 @@ impl Shot<'_> {
         geometry.with_grid(geometry.grid.scaled(self.placement.depth_scale))
     }
 
-    /// Returns a key of views before exposure. The key does not contain the geometry and the
-    /// samples of the views.
+    /// Returns a key of views before exposure. The key contains neither the geometry of the views
+    /// nor their number of samples.
     pub(crate) fn key(&self) -> KeyBuilder {
         let light = &self.job.light;
         let mut key = KeyBuilder::new("render", code::VIEWS);
@@ -166,8 +166,8 @@ impl Block {
 }
 
 /// Returns a grid of held-out views. Their slopes are midpoints between neighbouring views, evenly
-/// spread, and at most `per_axis` per axis. `None` if `per_axis` is 0 or the grid has only one
-/// view.
+/// spread, and at most `per_axis` per axis. An axis with one view keeps the slope of this view.
+/// `None` if `per_axis` is 0 or the grid has only one view.
 pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid> {
     if per_axis == 0 || grid.views() == [1, 1] {
         return None;

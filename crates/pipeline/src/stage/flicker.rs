@@ -44,8 +44,8 @@ pub(crate) struct TimeError {
     pub(crate) still: SquaredError,
 }
 
-/// Simulates all views of a time step and of the previous one. Without a previous time step,
-/// `change` and `still` are empty.
+/// Simulates all views of a time step and of the previous one, and sums their errors. Without a
+/// previous time step, `change` and `still` are empty.
 ///
 /// # Errors
 /// If cancelled.

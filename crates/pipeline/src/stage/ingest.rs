@@ -184,8 +184,9 @@ pub fn load_scene(
     Ok(Ingested { known, ..lit(scene, files, pose, light_job, task)? })
 }
 
-/// Crops and lights a scene that the caller made, by the rules of [`load_scene`]. The scene's key
-/// contains the content of `files`, and `content`, the data in memory that the scene was made from.
+/// Crops and lights a scene that the caller made, by the rules of [`load_scene`]. The caller made
+/// the scene from `files`, and from `content`, which are data in memory. The scene's key contains
+/// hashes of both.
 ///
 /// # Errors
 /// If a file cannot be read, or the scene cannot be rendered.
@@ -208,9 +209,9 @@ pub fn ingest_scene(
     lit(scene, files, pose, light_job, task)
 }
 
-/// Checks that a job's scene has a reader and, for glTF, the camera that the job names. Other
-/// readers may need another program or a plugin, so their cameras are checked when the scene is
-/// read.
+/// Checks that a job's scene has a reader, and that a glTF scene has the camera that the job names.
+/// Other readers may need another program or a plugin, so their cameras are checked when the scene
+/// is read.
 ///
 /// # Errors
 /// If the scene has no reader or no such camera, or a glTF file cannot be read.
@@ -343,8 +344,8 @@ struct Files {
 }
 
 impl Files {
-    /// Resolves references of the scene at `path`: to regular files of its folder or, with
-    /// `allow_outside`, to any regular files.
+    /// Returns a resolver for the references of the scene at `path`. It reads regular files of the
+    /// scene's folder or, with `allow_outside`, any regular files.
     fn beside(path: &Path, allow_outside: bool) -> Result<Self, PipelineError> {
         let io = |source| PipelineError::Read { path: path.to_owned(), source };
         let folder = if allow_outside { Folder::anywhere(path) } else { Folder::around(path).map_err(io)? };

@@ -35,8 +35,8 @@ pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineE
 }
 
 /// Returns the display of a node for a light field of this geometry. If the node names a display,
-/// the result is `of_job`, adapted to the geometry, with a text if this changes the backlight.
-/// Otherwise the result is `shared`, without a text.
+/// `of_job` is this display. The result is then `of_job`, adapted to the geometry, and a text if
+/// the adaptation changes the backlight. Otherwise the result is `shared`, without a text.
 ///
 /// # Errors
 /// If the display cannot show the light field.

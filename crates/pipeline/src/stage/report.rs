@@ -35,7 +35,7 @@ pub(crate) fn run(about: &ReportContent<'_>, stamps: &Stamps, task: Task<'_>) ->
     let settings = job.to_json();
     let denoising = field.denoised.as_ref().map(|denoised| denoised.about());
     let measure = |references: &References| references.measure(display, &solved.stack, task);
-    // Measure the seen pictures first, since the report draws and scores them.
+    // Score the seen pictures first, since the report has their scores and some of the pictures.
     let zone = about.references.map(measure).transpose()?;
     // The report is made from values in memory, not from the files of the run.
     let report = lumistack_report::build(

@@ -3,8 +3,8 @@
 //! ```text
 //! round 1    each tile, all its pixels:   piece of the light field ─▶ patterns;
 //!                                         a warm start is the tile's piece of the given patterns
-//! round 2 …  each tile, its free pixels:  patterns that neighbouring tiles have from the previous
-//!                                         round are the start and the fixed border
+//! round 2 …  each tile, its free pixels:  patterns of the previous round, from the tile and its
+//!                                         neighbours, are the start and the fixed border
 //! ```
 //!
 //! Each pixel belongs to one tile. The free pixels of a tile are its own pixels and all pixels on
@@ -93,8 +93,8 @@ impl Tiles {
 
     /// Returns the iterations of a round. A round gets about half of the remaining iterations, and
     /// leaves at least one for each later round. The last round gets all remaining iterations.
-    /// Patterns form in the first round. A short last round leaves only small differences at the
-    /// borders.
+    /// The first round changes the patterns most, so it is the longest. A short last round leaves
+    /// only small differences at the borders.
     fn iterations(&self, job: &FactorizeJob, round: usize) -> std::ops::Range<u32> {
         let all = job.iterations() as usize;
         let left = |round: usize| if round < self.rounds { (all >> round).max(self.rounds - round) } else { 0 };
@@ -269,7 +269,7 @@ impl Work<'_> {
         if let Some(start) = &start {
             add_stack(&mut key, start);
         }
-        // Keep only the pixels that belong to the tile.
+        // Make a display of only the pixels that belong to the tile, since only these are kept.
         let mut of_own = display.clone();
         for (layer, part) in of_own.layers.iter_mut().zip(&tile.parts) {
             layer.resolution = [part.own.cols.len(), part.own.rows.len()];

@@ -90,7 +90,7 @@ pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cle
     };
     let mut kept_bytes: u64 = nested(dir).iter().map(kept).sum();
     let mut freed: Vec<Freed> = Vec::new();
-    // Remove files one by one, or only count them.
+    // Count the files. Without `dry_run`, also remove them.
     for (kind, paths) in kinds {
         for path in paths {
             let [files, bytes] = size(&path);
@@ -151,7 +151,8 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
         let warm_up = cache.join("warm-up");
         kinds.push(("cached warm-up time steps", if is_folder(&warm_up) { vec![warm_up] } else { Vec::new() }));
     }
-    // List the light fields and the rows that the last sweep did not use.
+    // List the light fields that the last sweep did not use. List the rows that it did not use or,
+    // with `all`, all rows.
     if dir.join("sweep.json").is_file()
         && let Some(used) = &known
         && !used.fields.is_empty()

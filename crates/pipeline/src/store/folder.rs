@@ -189,11 +189,12 @@ mod tests {
         let path = folder.path().join("job.toml");
         let accepted = || try_take(folder.path(), Work::Run, &job).map(drop);
         // An earlier version wrote job files with all defaults and without a hash. Such a file is
-        // accepted until it changes. Then check a file with a hash.
+        // accepted until it changes.
         std::fs::write(&path, job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         std::fs::write(&path, format!("{}# mine\n", job.to_toml())).unwrap();
         assert!(accepted().is_err());
+        // A file with a valid hash is accepted.
         write_sealed(&path, &job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         assert_eq!(config::parse::<Job>(&std::fs::read_to_string(&path).unwrap()).unwrap(), job);

@@ -74,8 +74,8 @@ impl KeyBuilder {
     }
 
     fn add_values(&mut self, values: &[f32]) -> &mut Self {
-        // Long pieces of data are hashed by wide vectors. With pieces of 16 KB, blocks were hashed
-        // one by one.
+        // BLAKE3 hashes several blocks of a long piece of data together, by vector instructions.
+        // With pieces of 16 KB, it hashed the blocks one by one.
         const PIECE: usize = 1 << 18;
         let mut buffer = Vec::with_capacity(4 * PIECE.min(values.len()));
         for chunk in values.chunks(PIECE) {

@@ -136,7 +136,7 @@ pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32
 }
 
 /// Returns the elements of `all` that are not cached. Checking cached files takes seconds, so this
-/// function shows progress. If no file exists, nothing is checked.
+/// function shows progress. If none of the files exists, returns all elements without a check.
 pub(crate) fn missing<T: Send + Sync>(
     all: Vec<T>,
     file: impl Fn(&T) -> PathBuf,

@@ -16,7 +16,7 @@ use lumistack_splats::{Renderer, SplatView, Wanted, glb, write};
 
 use crate::usd::has_usd;
 
-/// Minimum PSNR of the picture of one file format against the picture of another, dB.
+/// Minimum PSNR of the pictures from a file against the pictures from the `.glb` file, dB.
 const LEAST_PSNR: f64 = 50.0;
 
 /// Returns a bumpy ball of flat splats, whose colours change with the direction. An `.spz` file can

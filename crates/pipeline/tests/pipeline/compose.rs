@@ -1,5 +1,4 @@
-//! Tests plans of a sequence with nodes and plans of a sweep over this sequence, and executes every
-//! step alone.
+//! Tests plans that combine sequences, nodes and sweeps, and executes every step of a plan alone.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -56,7 +55,7 @@ fn cached(plan: &Plan, id: &str) -> Option<bool> {
     plan.steps.iter().find(|step| step.id == id).unwrap_or_else(|| panic!("{id} is no step")).cached
 }
 
-/// A plan that its run would refuse is of no use, so both check plugins alike.
+/// A plan that its run would refuse has no use. So a plan and its run check plugins alike.
 #[test]
 fn a_plan_refuses_the_plugins_that_its_run_refuses() {
     let folder = tempfile::tempdir().unwrap();

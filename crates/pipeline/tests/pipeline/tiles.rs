@@ -79,7 +79,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     println!("around seams {seam:.2} dB, without tiles {without:.2}; elsewhere {rest:.2} and {elsewhere:.2}");
     assert!(seam > without - SEAM_DB && rest > elsewhere - SEAM_DB);
 
-    // Execute every tile of every round alone.
+    // Execute every unit alone, including each tile of each round.
     let plan = with_task(|task| farm_plan(&tiled, &farm, &registry, CUT, task)).unwrap();
     let of = |id: &str| plan.units.iter().find(|unit| unit.id == id).unwrap();
     assert!(of("factorize/round-1/1-of-4").inputs.iter().all(|input| input == "expose"));
