@@ -315,7 +315,7 @@ export class LumistackViewer extends HTMLElement {
 
   // --- loading
 
-  /** The hint on how to look around. The button for tilt is one of the element's own controls. */
+  /** The hint on how to look around. With the attribute `plain` there is no button for tilt. */
   private get hint(): string {
     if (matchMedia("(hover: hover)").matches) return "Move the mouse to look around";
     return Tilt.possible && !this.hasAttribute("plain") ? "Drag to look around, or press Tilt" : "Drag to look around";
@@ -419,7 +419,7 @@ export class LumistackViewer extends HTMLElement {
   }
 
   private arrived(content: StackContent, file: FileInfo): void {
-    // If the file completes its frame, update all parts, since it may be the selected frame.
+    // If the file completes its frame, update all parts: the frame may be the selected one.
     if (content.arrived(file)) this.stateChanged();
     this.ticker.redraw();
   }
@@ -558,8 +558,8 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-   * Returns the seen pictures that other displays (headset, lenticular panel) show; undefined
-   * without patterns.
+   * Returns an object that computes seen pictures for other displays (headset, lenticular panel);
+   * undefined without patterns.
    */
   private views(): Views | undefined {
     const info = this.content?.info;

@@ -176,7 +176,7 @@ export class Face {
   }
 }
 
-/** Returns a text that states if the viewing position is inside the viewing zone, or inside the views. */
+/** Returns a text that states if the viewing position is inside the viewing zone or the views. In the mode "compare" it only mentions the nearest view. */
 function whereabouts(info: Info, mode: Mode, inside: boolean): string {
   if (info.layers.length === 0) return inside ? "Within the views." : "Outside the views.";
   if (mode === "compare") return "Compared with the nearest view.";

@@ -31,7 +31,7 @@ const REST_MS = 400;
 /** Smallest change of the slope that is sent: the eye moves by 0.6 mm at a distance of 600 mm. */
 const STEP = 0.001;
 
-/** The bar's style sheet. The bar has the colours of the viewer in the system's theme. */
+/** The bar's style sheet. The bar has the colours of the viewer. */
 const SHEET = `
   lumistack-viewer { height: calc(100dvh - 34px) }
   .live { --back: #15171a; --line: #282b30; --text: #ecebe8; --quiet: #9a9da5; --good: #7fc98f; --warn: #efb152; color-scheme: dark }

@@ -33,7 +33,7 @@ export interface LoaderEvents {
 export class Loader {
   private loading: AbortController | undefined;
   private decoding: AbortController | undefined;
-  /** `firstPicture` resolves when the first picture is shown, `everything` when the last file has arrived. */
+  /** `firstPicture` resolves when the first picture is shown, `everything` when every file has arrived or failed. */
   firstPicture = deferred();
   everything = deferred();
 

@@ -74,7 +74,7 @@ export class Others {
     this.face.at("others-status").textContent = text;
   }
 
-  /** Disables the button of the headset if this browser or this content does not support a headset. */
+  /** Enables the button of the headset only if this browser and this content support a headset. */
   private async refresh(): Promise<void> {
     this.say("");
     const headset = this.face.at("headset") as HTMLButtonElement;

@@ -1,5 +1,5 @@
-// Draws pictures. WebGL2 draws the views of the display if it is faster than the processor. The
-// processor draws everything else.
+// Draws pictures. WebGL2 or the processor draws the views of the display, as `Wish` states. The
+// processor draws all other pictures.
 //
 // With WebGL2 and with the processor a view has one pixel for each pixel of the light field, and
 // the page scales it. So both renderers give the same picture.

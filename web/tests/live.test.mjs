@@ -134,8 +134,8 @@ test("the view acts as a tracked head while the switch is on", { skip }, async (
   assert.equal(zone(), 1, "the view moved the viewer before the switch was on");
   await page.getByLabel("The display follows my view").check();
   await until("rays near the view", () => zone() === 0);
-  // A view that does not move still counts as a tracked head, even after the time after which a
-  // silent tracker is ignored.
+  // A view that does not move still counts as a tracked head, even after the time limit for
+  // silent trackers.
   await new Promise((resolve) => setTimeout(resolve, 2500));
   assert.equal(zone(), 0);
   await page.screenshot({ path: join(SHOTS, "live-follows.png") });

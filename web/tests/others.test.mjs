@@ -61,8 +61,8 @@ test("the dialog fits phones, tablets and desktops, axe finds nothing, and nothi
 });
 
 /**
- * Returns the preview with two squares. The preview is ten times as large, so that it is wide
- * enough for a headset.
+ * Returns the preview with two squares at ten times its size, so that it is wide enough for a
+ * headset.
  */
 function large() {
   return altered(twoSquares(), {}, (preview) => {

@@ -25,7 +25,7 @@ const skip = !BIN && "LUMISTACK_BIN is not set";
 let browser;
 let server;
 let folder;
-/** The methods and addresses of all requests that reach the server. */
+/** Method, path and content length of every request that reaches the server. */
 const asked = [];
 before(async () => {
   browser = await launch();

@@ -144,7 +144,7 @@ test("stop, other settings and another scene discard the views of earlier reques
   await at.printed("thread: traced");
   // Stop, and wait until the threads have traced their last views. The script clicks, since a click
   // by the browser's driver first waits for the layout: on a busy machine the work could end
-  // before.
+  // before the click.
   await at.evaluate(() => document.querySelector("#pause").click());
   await at.waitForFunction(() => /Stopped/.test(document.querySelector("#status").textContent));
   const share = await at.evaluate(() => document.querySelector("#bar").value);

@@ -54,7 +54,7 @@ def incomplete_beta(a, b, x):
 
 
 def t_p(t, freedom):
-    """Returns the probability that |t| is larger than this by chance, by Student's distribution."""
+    """Returns the probability of a |t| larger than `t` by chance, by Student's distribution."""
     return incomplete_beta(0.5 * freedom, 0.5, freedom / (freedom + t * t))
 
 

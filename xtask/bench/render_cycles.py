@@ -159,9 +159,9 @@ def timed(samples, seed):
 
 
 def render(sampler, samples, seed, view):
-    # The time of a render with one sample is the time of the fixed work, such as preparing the
-    # scene and writing the file. Its difference from the time of a longer render is the time of the
-    # paths.
+    # A render with one sample takes the time of the fixed work (preparing the scene, writing the
+    # file) and of one sample. The longer render takes the same time and that of the other samples.
+    # The factor `share` extends this difference to all samples.
     aim(v.cameras[view])
     start, start_cpu, _ = timed(1, seed)
     seconds, cpu_s, picture = timed(samples, seed)

@@ -15,8 +15,8 @@ pub(crate) const CHUNK: u64 = 32 << 20;
 /// Number of threads of a workgroup, as in the shaders.
 pub(crate) const GROUP: usize = 64;
 
-/// Appends the bytes of values. The loop compiles to a copy, which an iterator over single bytes
-/// does not.
+/// Appends the bytes of values. The loop compiles to a plain copy of memory; an iterator over
+/// single bytes would not.
 pub(crate) fn append<T: Copy, const N: usize>(to: &mut Vec<u8>, values: &[T], bytes_of: impl Fn(T) -> [u8; N]) {
     let start = to.len();
     to.resize(start + N * values.len(), 0);

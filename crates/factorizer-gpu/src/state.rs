@@ -1,4 +1,5 @@
-//! The patterns of a run on a device. Each update of [`Updater`] is a dispatch of shaders.
+//! The patterns of a run on a device. An update of [`Updater`] runs one shader, by a dispatch for
+//! each channel and band.
 
 use std::sync::Arc;
 
@@ -44,7 +45,7 @@ pub(crate) struct State {
     sums: wgpu::Buffer,
     /// Buffers for bindings that a program does not use.
     unused: [wgpu::Buffer; 3],
-    /// Number of results of the last dispatch in `sums`.
+    /// Number of results that the last call of `dispatch` left in `sums`.
     found: usize,
     submitted: Option<wgpu::SubmissionIndex>,
 }
@@ -282,7 +283,7 @@ impl State {
         self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
     }
 
-    /// Sums the results of the last dispatch.
+    /// Sums the results of the last call of `dispatch`.
     fn sum(&mut self) -> [f64; 2] {
         if self.found == 0 {
             return [0.0; 2];

@@ -1,4 +1,4 @@
-//! The tables of a problem as one list of words, in the order in which shaders read them.
+//! The tables of a problem as one list of words, which shaders read.
 
 use lumistack_display::Tap;
 use lumistack_factorizer::device::Plan;
@@ -56,7 +56,7 @@ impl Tables {
                 words[at + range.start..at + range.end].fill(1);
             }
         }
-        // add the taps and readers of every factor
+        // for every factor, add its taps, and the lists of rays that read each line and column
         let mut tables = Self { words, counted_rows, counted_cols, factors: Vec::new() };
         for n in 0..plan.factor_count() {
             let factor = tables.add(plan, n);

@@ -76,8 +76,8 @@ pub(crate) struct Scratch {
     windows: Windows,
     /// For each row of rays, the index at which its entries end in the list of rows to prefetch.
     ahead: Vec<usize>,
-    /// For each factor k, a range over all rays: the column that a ray reads in factor k, minus its
-    /// column in the factor under update.
+    /// For each factor k, the smallest and the largest difference over all rays: the column that a
+    /// ray reads in factor k, minus the column that it reads in the factor under update.
     spread: Vec<[isize; 2]>,
     /// The sums for the pixels of a part of the line under update, `[quantity][column]`.
     low: Aligned,
@@ -85,8 +85,8 @@ pub(crate) struct Scratch {
     high: Vec<f32>,
     /// The share of the rays' error Σ w e² that the next line gets.
     high_error: f64,
-    /// For each view, the terms of the rays through the previous block of pixels: a_m =
-    /// ∂L̃/∂(f_m/M), then βL and L̃. The order is `[view][M + 2][lane]`.
+    /// For each listed view, the terms of the rays through the previous block of pixels: a_m =
+    /// ∂L̃/∂(f_m/M), then βL and L̃. The order is `[row of rays and view][M + 2][lane]`.
     before: Aligned,
 }
 
@@ -121,8 +121,8 @@ impl Scratch {
     }
 }
 
-/// Returns, for each factor k, a range over all rays: the column that a ray reads in factor k,
-/// minus its column in factor `n`.
+/// Returns, for each factor k, the smallest and the largest difference over all rays: the column
+/// that a ray reads in factor k, minus the column that it reads in factor `n`.
 fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     let distances = |k: usize| {
         let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);
@@ -169,7 +169,7 @@ pub(crate) struct BetweenBand<'a> {
 }
 
 impl BetweenBand<'_> {
-    /// Sums the rays of the next line and steps its pixels.
+    /// Sums the rays that read the line `at`, and steps the line's pixels.
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);

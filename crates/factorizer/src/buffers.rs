@@ -417,7 +417,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         }
     }
 
-    /// Adds up G of `step.rs` between the frames m..m + 3 and k..k + C.
+    /// Adds up the entries of G (see `step.rs`) in the rows m..m + 3 and the columns k..k + C.
     #[inline(always)]
     unsafe fn rectangle<V: Lanes, const C: usize>(&self, m: usize, k: usize, block: &mut Block) {
         let at = |i: usize, c: usize| (m + i) * self.group.frames + k + c;

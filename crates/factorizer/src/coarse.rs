@@ -121,7 +121,8 @@ pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) ->
     fine
 }
 
-/// Positions of fine pixels between coarse pixels of twice the pitch, around the same centre.
+/// Positions of fine pixels between coarse pixels of twice the pitch. Both grids have the same
+/// centre.
 ///
 /// In the list of coarse pixels, the first pixel and the last pixel are repeated once. Then fine
 /// pixel 2k lies between entries k and k + 1, and fine pixel 2k + 1 between entries
@@ -161,8 +162,8 @@ impl Between {
 /// Returns the fine pixels under each coarse pixel of twice the pitch. Both grids have the same
 /// centre.
 ///
-/// For each coarse pixel, the result has the first fine pixel that it covers, and the shares of
-/// three fine pixels: this one and the next two.
+/// For each coarse pixel, the result has the first fine pixel under it, and the shares of three
+/// fine pixels: the first and the next two.
 pub(crate) fn cover(fine: usize, coarse: usize) -> Vec<(usize, [f32; 3])> {
     (0..coarse)
         .map(|i| {

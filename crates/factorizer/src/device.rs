@@ -3,8 +3,8 @@
 //! A solver is a schedule: it chooses the factor to update, the extrapolation, and restarts. An
 //! [`Updater`] does all computation; the solver never reads the updater's patterns.
 //! [`Processor`](crate::Processor) is the executor of this crate. An executor of another crate gets
-//! the same [`Plan`], whose tables define the pixels that every ray reads. So its results are the
-//! same up to rounding.
+//! the same [`Plan`], whose tables define the pixels that every ray reads. So the results of all
+//! executors agree up to rounding.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -328,7 +328,7 @@ impl Factor {
 
 /// Copies the values of a display's factors into a layer stack.
 pub fn stack_of<'a>(display: &Display, factors: impl Iterator<Item = &'a Factor>) -> LayerStack {
-    // zeros that were never written occupy no memory yet
+    // the new zeros occupy no memory before the first write, so large pages can still be requested
     let mut stack = LayerStack::filled(display, 0.0);
     let layers = stack.layers.iter_mut().map(|layer| layer.data_mut());
     for (factor, tensor) in factors.zip(layers.chain(stack.emission.iter_mut().map(|e| e.data_mut()))) {

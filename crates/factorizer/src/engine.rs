@@ -94,7 +94,7 @@ impl Engine {
         }
     }
 
-    /// Allocates the patterns of one channel. `start(plan, range, line, values)` fills one line of
+    /// Allocates the patterns of one channel. `start(plan, range, line, values)` fills one line in
     /// all frames.
     pub(crate) fn by_lines(
         plan: Plan,
@@ -163,9 +163,9 @@ impl Engine {
         self.plan.target.weight_scale
     }
 
-    /// Returns true if the kernel of [`gather`] updates factor `n`: all rays of a view read the
-    /// factor at a constant shift. This also holds if rays read other factors between columns:
-    /// there the kernel of [`between`] was no faster.
+    /// Returns true if the kernel of [`gather`] updates factor `n`: layers attenuate, and all rays
+    /// of a view read the factor at a constant shift. This kernel is also chosen if rays read
+    /// other factors between columns, since the kernel of [`between`] was no faster there.
     pub fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
     }

@@ -35,8 +35,8 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
 pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, window: u64) -> u64 {
     /// Bytes of a small page.
     const PAGE: u64 = 4096;
-    /// While rows are sorted, bytes of the references to one field row of one view in three
-    /// channels.
+    /// Bytes of the references to one field row of one view, in three channels. They exist while
+    /// rows are sorted.
     const PLACES: u64 = 96;
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
     let (views, rows, threads) = (view_rows * view_cols, geometry.rows as u64, threads as u64);

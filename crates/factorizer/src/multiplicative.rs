@@ -77,8 +77,8 @@ impl Run for MultiplicativeRun {
     }
 
     fn known_objective(&self) -> Option<Objective> {
-        // The multiplicative rule has no sums that contain the objective, so an update does not
-        // give it.
+        // The multiplicative rule does not compute the decrease of the objective, so the objective
+        // after an update is not known.
         None
     }
 

@@ -102,7 +102,8 @@ impl Plan {
     fn with_map(display: &Display, geometry: &FieldGeometry, map: &RayMap, target: Target) -> Self {
         let views = geometry.grid.views();
         let (rows, cols) = (geometry.rows, geometry.cols);
-        // a ray is valid if it hits every layer (or the display allows misses) and a lit lenslet
+        // A ray is valid if it hits every layer (or the display allows misses). It must also hit
+        // the grid of lenslets, if there is one.
         let drop = display.missing == Missing::Drop;
         let valid = |view: usize, i: usize, axis: fn(&LayerMap) -> &AxisTaps, lit: &dyn Fn(usize, usize) -> bool| {
             (!drop || map.layers.iter().all(|layer| !axis(layer).of_view(view)[i].is_missed())) && lit(view, i)

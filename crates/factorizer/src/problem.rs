@@ -102,9 +102,10 @@ pub enum FactorizeError {
         values: u128,
     },
     /// No valid ray has a weight above 0, so all patterns are equally good. A ray is valid if it
-    /// hits a lit lenslet and all layers; some displays also allow rays that miss layers.
+    /// hits all layers, and the grid of lenslets, if there is one. Some displays also allow rays
+    /// that miss layers.
     #[error(
-        "weights and layers: expected at least one ray that has a weight above 0 and hits all layers (and a lit lenslet, if there are lenslets), found none"
+        "weights and layers: expected at least one ray that has a weight above 0 and hits all layers (and the grid of lenslets, if there is one), found none"
     )]
     NoRays,
     /// No solver has this name.

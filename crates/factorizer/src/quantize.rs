@@ -27,7 +27,7 @@ pub fn has_levels(problem: &Problem) -> bool {
     problem.display.layers.iter().any(|layer| layer.bits.is_some())
 }
 
-/// Rounds every value to the nearest level of its layer.
+/// Rounds every value to the nearest level of its layer. Layers without few bits keep their values.
 pub fn round_to_levels(problem: &Problem, stack: &LayerStack) -> LayerStack {
     round(problem.display, stack)
 }

@@ -460,8 +460,8 @@ pub(crate) fn rays_through<'a>(
     rays
 }
 
-/// Rows of every factor that one row of rays reads, each mixed from two lines. Only the columns of
-/// one part are computed.
+/// Windows: for each factor, a line that one row of rays reads, mixed from two lines of the factor.
+/// Only the columns of one part of the line are computed.
 #[derive(Default)]
 pub(crate) struct Windows {
     values: Vec<f32>,
@@ -481,7 +481,7 @@ impl Windows {
         Self { values: vec![0.0; starts[plan.maps.len()]], starts }
     }
 
-    /// Returns true if a row of rays reads factor `k` in this memory, not in the factor itself.
+    /// Returns true if a row of rays reads factor `k` in the windows, not in the factor itself.
     pub(crate) fn holds(plan: &Plan, k: usize, rays: RowOfRays) -> bool {
         let map = &plan.maps[k];
         map.between && (map.mixes_columns || map.y[rays.view_y][rays.row].t != 0.0)
@@ -515,7 +515,7 @@ impl Windows {
         }
     }
 
-    /// Returns a function that points to the line of a factor.
+    /// Returns a function that returns a pointer to the window of a factor.
     pub(crate) fn lines(&mut self) -> impl Fn(usize) -> *mut f32 + use<'_> {
         let first = self.values.as_mut_ptr();
         move |k| first.wrapping_add(self.starts[k])

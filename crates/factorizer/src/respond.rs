@@ -24,8 +24,7 @@ use crate::factor::{Factor, Layout};
 use crate::line::{LineStep, Outcome, StepFunctions};
 use crate::step::{Block, Sums};
 
-/// Sums of all lines of a factor, transferred to the stored pixels as planes:
-/// `[quantity][channel][line · cols + col]`.
+/// The sums of a factor's stored pixels, as planes: `[quantity][channel][line · cols + col]`.
 pub(crate) struct AdjointSums {
     planes: Vec<[Vec<f32>; 3]>,
 }

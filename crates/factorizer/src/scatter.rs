@@ -132,7 +132,7 @@ pub(crate) struct ScatterBand<'a> {
 }
 
 impl ScatterBand<'_> {
-    /// Sums the rays of the next line and steps its pixels.
+    /// Sums the rays that read the line `at`, and steps the line's pixels.
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);

@@ -62,8 +62,8 @@ pub trait Run {
     /// target's views may see them.
     fn darken_unlit(&mut self) -> f64;
 
-    /// Returns the number of rays with w > 0 that hit a lit lenslet and all layers. If the display
-    /// allows rays that miss layers, these rays count too.
+    /// Returns the number of rays with w > 0 that hit all layers, and the grid of lenslets, if
+    /// there is one. If the display allows rays that miss layers, these rays count too.
     fn rays(&self) -> u64;
 
     /// Checks that the patterns still exist; a lost device loses them. The results of

@@ -13,7 +13,7 @@ pub fn hold(names: Vec<String>, contents: Vec<Uint8Array>) {
     lumistack_files::hold(names.into_iter().zip(contents.iter().map(Uint8Array::to_vec)));
 }
 
-/// A light field, which the solver's module receives value by value.
+/// A light field. The solver's module reads it through the getters below.
 #[wasm_bindgen]
 pub struct Field {
     field: LightField,
@@ -54,7 +54,7 @@ impl Field {
         self.field.geometry().pitch_mm
     }
 
-    /// Viewing distance of perspective views, mm; undefined for oblique views.
+    /// Viewing distance of perspective views, mm; `undefined` for oblique views.
     #[wasm_bindgen(getter)]
     pub fn distance_mm(&self) -> Option<f64> {
         match self.field.geometry().grid.projection {
@@ -89,8 +89,8 @@ impl Field {
     }
 }
 
-/// Decodes packed content. Request and answer have the byte format of `lumistack_gltf::Packed`; the
-/// result is undefined if the request is malformed.
+/// Decodes packed content. Request and answer have the byte format of
+/// `lumistack_gltf::unpack::Packed`; the result is `undefined` if the request is malformed.
 #[wasm_bindgen]
 pub fn answer(request: &[u8]) -> Option<Vec<u8>> {
     crate::answer(request)

@@ -16,7 +16,7 @@ pub fn codes(display: &Display, stack: &LayerStack) -> Vec<u8> {
             codes.extend(layer.block([frame]).iter().map(code));
         }
         if let (Some(emission), Backlight::Lenslets(b)) = (&stack.emission, &display.backlight) {
-            // the emission's axes are `[bin_y][lenslet_row][bin_x][lenslet_col]`
+            // the axes of the emission's picture are `[bin_y][lenslet_row][bin_x][lenslet_col]`
             for (bin_y, row) in (0..b.views[1]).flat_map(|bin_y| (0..b.lenslets[1]).map(move |row| (bin_y, row))) {
                 for bin_x in 0..b.views[0] {
                     codes.extend(emission.block([frame, bin_y, bin_x, row]).iter().map(code));

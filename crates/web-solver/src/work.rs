@@ -43,7 +43,7 @@ const HAS_DEVICES: bool = cfg!(any(feature = "gpu", not(target_arch = "wasm32"))
 pub enum Stage {
     /// Reads the files, lights the scene, and places the display.
     Scene,
-    /// Renders views, and between them solves for the views that are already rendered.
+    /// Renders views, and between them solves for unfinished views.
     Views,
     /// Solves for the finished views.
     Patterns,
@@ -431,7 +431,8 @@ fn views(views: &mut Option<Views>) -> Result<&mut Views, Error> {
 }
 
 /// Plans the pieces after a light field is read: a single solve. Its patterns are shown after each
-/// of the first iterations, in which they change most, and later only after every few iterations.
+/// of the first [`WARM`] iterations, in which they change most. Later they are shown after every
+/// iteration whose number is a multiple of [`FIELD_SHOWS`], and at the end.
 fn plan_field(iterations: u32) -> VecDeque<Piece> {
     let mut pieces = VecDeque::from([Piece::BeginField]);
     for iteration in 1..=iterations {

@@ -107,7 +107,7 @@ function markStage(): void {
   if (stage && !(stage === "done" && showing)) document.documentElement.dataset.stage = stage;
 }
 
-/** Shows title and caption of the current patterns below the viewer. */
+/** Shows title and caption of the current patterns above the viewer. */
 function tell({ title, caption }: { title: string; caption: string }): void {
   const name = document.createElement("strong");
   name.textContent = title;

@@ -19,7 +19,7 @@ struct Params {
     out_base: u32,
     target_base: u32,
     weights_base: u32,
-    // offset of this dispatch's results, and the number of results per line
+    // number of workgroups before this dispatch, and number of workgroups per line
     sums_base: u32,
     groups_x: u32,
     // offsets of the tables of the rays through each line and each column of the own factor

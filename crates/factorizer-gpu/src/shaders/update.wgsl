@@ -142,7 +142,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if diagonal
-    // These steps are computed only for the KKT residual, so the values do not change.
+    // These steps are computed only for the KKT residual; they do not change the values.
     var curvature = 0.0;
     var step = 0.0;
 //@ frames

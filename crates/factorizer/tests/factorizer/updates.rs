@@ -44,8 +44,8 @@ fn kernels() -> Vec<(Backend, bool)> {
     Backend::available().iter().flat_map(|backend| [(*backend, false), (*backend, true)]).collect()
 }
 
-/// Every rule, with the smallest value that its solver allows, and the number of sweeps for the
-/// oracle.
+/// The rules of the solvers. Each has the smallest value that its solver allows, and the number of
+/// sweeps for the oracle.
 const RULES: [(Rule, f32, Option<u32>); 2] =
     [(Rule::Multiplicative, FLOOR, None), (Rule::Block { sweeps: 4 }, 0.0, Some(4))];
 

@@ -15,8 +15,8 @@ const FULL: &str = include_str!("../shaders/full.vert.glsl");
 /// Fragment shader, which computes the seen picture at every pixel of the light field. A pixel is
 /// the mean light of its rays. There is a ray for every part of the pixel and every point of the
 /// viewer's pupil. The tables of `tables.rs` state where a ray hits each layer. Let M be the number
-/// of frames m, b the light of the backlight, and v the value that the ray hits on layer n. Then
-/// the ray's light is
+/// of frames m, b the light of a directional backlight, and v the value that the ray hits on layer
+/// n. With a uniform backlight, b is left out. The ray's light is
 ///
 /// ```text
 /// attenuating    (1/M) Σ_m b ∏_n v
