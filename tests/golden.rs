@@ -32,10 +32,11 @@ const SIZE: [usize; 2] = [84, 52];
 const SAMPLES: [usize; 2] = [4096, 64];
 /// Side of a block, pixels.
 const BLOCK: usize = 4;
-/// Probability that at least one of a case's tests fails by chance.
+/// Probability that chance makes at least one test of a set fail. One set has the tests of all
+/// pixels, and the other set the tests of the blocks and of the whole picture.
 const FALSE_ALARM_RATE: f64 = 1e-2;
-/// Fraction of the pixels whose test may fail in a correct picture. In caustics the mean of 64
-/// samples is not normally distributed, so some tests fail by chance.
+/// Fraction of the values, three per pixel, whose tests may fail in a correct picture. In caustics
+/// the mean of 64 samples is not normally distributed, so some tests fail by chance.
 const OUTLIERS: f64 = 0.0025;
 /// Relative rounding error of golden pictures, whose values have 11 bits.
 const ROUNDING: f64 = 1.0 / 2048.0;

@@ -362,7 +362,7 @@ fn only_this_machine_and_this_user_can_attach() {
     let (job, run) = (write_job(folder.path()), folder.path().join("run"));
     let live = Live::start(&job, &run, &[]);
     live.state(|_| true);
-    // a socket of all interfaces would also answer at this address
+    // a socket on all interfaces would also answer at 127.0.0.2
     let port = door_of(&run)["port"].as_u64().unwrap() as u16;
     assert!(std::net::TcpStream::connect(("127.0.0.2", port)).is_err());
     let mode = std::fs::metadata(run.join("cache/live.json")).unwrap().permissions().mode();

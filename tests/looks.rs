@@ -60,9 +60,9 @@ fn newest(folder: &Path) -> std::time::SystemTime {
     last
 }
 
-/// The window is far in front of the scene, so no part of the scene is in the display's depth of
-/// field. After `move` some parts are in it. After `compress` nearly all parts are in it, and the
-/// patterns have a higher PSNR.
+/// The window is far in front of the scene, so hardly any part of the scene is in the display's
+/// depth of field. After `move` some parts are in it. After `compress` nearly all parts are in it,
+/// and the patterns have a higher PSNR.
 #[test]
 fn fitted_depth_raises_the_quality() {
     let folder = tempfile::tempdir().unwrap();
@@ -105,8 +105,8 @@ fn fitted_depth_raises_the_quality() {
     assert!(warned(&off) && !warned(&compressed));
 }
 
-/// `info` reports the depth of a scene without rendering it. The report of a run has the same
-/// values.
+/// `info` reports the depth of a scene without rendering it. A rendering prints the same depth
+/// budget.
 #[test]
 fn info_reports_the_depth_of_a_scene_for_a_display() {
     let folder = tempfile::tempdir().unwrap();

@@ -14,7 +14,7 @@ fn file_name(id: &str) -> String {
     format!("{}lumistack_plugin_{id}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX)
 }
 
-/// Builds a plugin that ends its own process on request.
+/// Builds a plugin that crashes, ends, hangs or prints on request.
 fn hostile(folder: &Path, id: &str, in_entry: &str) {
     let mut cc = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
     cc.args(["-std=c11", "-O0", "-shared", "-fPIC", "-I"]).arg(root().join("crates/plugin-abi/include"));

@@ -120,8 +120,8 @@ fn studio_light_is_no_bright_background() {
     assert!(corner.iter().all(|&value| value == corner[0]), "neutral: {corner:?}");
 }
 
-/// Cards stand one behind another, over a depth of four widths of the window. By default their
-/// depth is compressed into the display's depth of field, and one message reports this.
+/// Five cards stand in a diagonal row, over a depth of 12 units. By default their depth is
+/// compressed into the display's depth of field, and one message reports this.
 #[test]
 fn depth_that_does_not_fit_is_fitted_by_default() {
     let folder = tempfile::tempdir().unwrap();

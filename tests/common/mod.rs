@@ -119,7 +119,7 @@ pub fn light_fields() -> Option<PathBuf> {
     lumistack_testkit::skip::folder("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")
 }
 
-/// Finds a Python with NumPy: the environment of `cargo xtask ci`, or any other Python that has it.
+/// Finds a Python with NumPy: the Python that `LUMISTACK_PYTHON` names, or else `python3`.
 pub fn python() -> Option<PathBuf> {
     lumistack_testkit::skip::python_with("numpy")
 }

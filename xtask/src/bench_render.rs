@@ -200,8 +200,8 @@ fn imports(python: &Path, module: &str) -> bool {
     output_of(command(python).args(["-c", &format!("import {module}")])).is_some()
 }
 
-/// Returns true if a peer can be imported. If the peer is missing, the function first tries to
-/// install it into the environment that only benchmarks use.
+/// Returns true if a peer can be imported. If the peer is missing and LUMISTACK_BENCH_PYTHON is not
+/// set, the function first tries to install the peer.
 fn has(python: &Path, [package, module]: &[&str; 2]) -> bool {
     if !imports(python, module) && std::env::var_os("LUMISTACK_BENCH_PYTHON").is_none() {
         println!("\nfetching: {package}, in target/python-render-bench (used only for comparing speed)");

@@ -1,5 +1,6 @@
-//! Finds the reason why a file has no visible triangle. The message has two statements: the element
-//! that the scene's structure lacks, and the first defect in data that the scene does not use.
+//! Finds the reason why a file has no visible triangle. The message states the element that the
+//! scene's structure lacks. If data that the scene does not use has a defect, the message also
+//! states the first defect.
 //!
 //! If a file is truncated, or its scene has lost its nodes, all data that the scene uses may be
 //! valid. A defect in the unused data then helps to explain why the scene is empty. The unused data
@@ -20,7 +21,7 @@ use crate::nodes::Nodes;
 use crate::skin::Pose;
 use crate::{animation, lights_cameras, options};
 
-/// The requirement of every scene.
+/// The expected value in the message about a scene that shows neither a mesh nor splats.
 const EXPECTED: &str = "at least one triangle with area";
 
 /// Format that fits every accessor.
@@ -50,7 +51,8 @@ pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
     Fault::new(nodes.place(), EXPECTED, format!("{found}{defect}"))
 }
 
-/// Appends the reasons to the message about a scene whose triangles have no area.
+/// Appends to `found`, the message about a scene whose triangles have no area: the number of
+/// triangles, and the first primitive that was left out.
 pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) -> String {
     let left_out = left_out(document).map(|reason| format!("; {reason}")).unwrap_or_default();
     match triangles {

@@ -1,4 +1,4 @@
-//! Reads light sources other than surfaces, cameras, and the environment.
+//! Reads cameras, the environment, and the lights that have no surface.
 //!
 //! Sources: KHR_lights_punctual (candela and lux, light along −z of the node), and glTF 2.0,
 //! section 3.10 (cameras). Two extras belong to Lumistack: `extras.lumistack.focus_distance` on a

@@ -37,7 +37,8 @@ pub struct Cloud {
     /// Coefficients c_lm, `[splat][coefficient][rgb]`, in the cloud's axes. There are (degree + 1)²
     /// coefficients, in the order of degree l, then of order m.
     pub harmonics: Vec<f32>,
-    /// Colour space of the harmonics, in which splats are also blended.
+    /// Colour space of the harmonics. Splats are also blended in this space, or in sRGB if the
+    /// clouds of a scene have different spaces.
     pub encoding: Encoding,
 }
 

@@ -126,7 +126,8 @@ impl Renderer {
                 .iter()
                 .map(|z| z.as_deref().map(|z| Cuts { z, samples: z.len() / (rows * cols), cols, rows }))
                 .collect();
-            // Views of a block share projections, so they are rendered together.
+            // A splat is projected into all views of a block at once, so these views are rendered
+            // together.
             let eyes = block.iter().map(|slope| Eye::new(geometry, *slope)).collect();
             let views = Views::new(eyes, cuts, &prepared);
             for (i, view) in block_of(&shared, &prepared, geometry, &views, task)?.into_iter().enumerate() {

@@ -316,7 +316,7 @@ fn broken_files_are_refused_with_their_place() {
     refused(&changed(19, 255), "tocByteOffset");
     refused(&changed(8, 41), "stream 0");
     refused(&changed(32 + 96, 0), "zstd");
-    // the unchanged file is valid, so each refusal above is due to the change
+    // the unchanged `.ply` file is valid, so its refusals above are due to the changes
     assert!(read(&with("end_header\n", "end_header\n"), NONE).is_ok());
 }
 

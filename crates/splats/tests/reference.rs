@@ -325,7 +325,8 @@ fn the_same_bytes_come_out_of_any_block_of_views_and_any_number_of_threads() {
                 all.iter().zip(&again).for_each(|(a, b)| same(a, b));
             });
         }
-        // rendering one view per call, from the last to the first, gives the same views
+        // rendering every fifth view in its own call, from the last to the first, gives the same
+        // view
         for (slope, view) in slopes.iter().zip(&all).rev().step_by(5) {
             same(view, &render(&scene, &geometry, &[*slope], None)[0]);
         }

@@ -79,7 +79,8 @@ pub(crate) struct Curves<'a> {
     pub(crate) uvs: [Option<Data<'a>>; 2],
 }
 
-/// If the triangles exceed this number, tubes get fewer sides and samples.
+/// If the triangles of a prim's curves would exceed this number, the curves get fewer samples and
+/// sides.
 const MOST_TRIANGLES: usize = 2_000_000;
 
 /// Samples per segment, and sides per tube, from the finest choice to the coarsest.
@@ -304,8 +305,9 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     if !(total > ROUNDING * largest && total.is_finite()) {
         return None;
     }
-    // `None` if both neighbours are at the point's position, or if the curve turns back there. The
-    // rib then takes the tangent of the previous rib. Ribs at the start take the first tangent.
+    // The tangent at a sample. `None` if both neighbours are at the sample's position, or if the
+    // curve turns back there. The rib then takes the tangent of the previous rib. Ribs at the start
+    // take the first tangent.
     let tangent = |i: usize| -> Option<Vec3> {
         let before = if i == 0 && closed {
             positions[last] - positions[last - 1]
@@ -417,7 +419,7 @@ fn ribbon(place: &mut Place<'_>, normals: &Data<'_>, samples: &[Sample], ribs: &
     }
 }
 
-/// Argument of [`ball`] for the balls at points.
+/// Number of segments per edge of the octahedra that become the balls at points.
 const BALL_PARTS: u32 = 4;
 
 /// Returns a ball of diameter 1 with 8 parts² triangles. It is an octahedron whose edges are cut
@@ -450,7 +452,8 @@ pub(crate) fn ball(parts: u32) -> Geometry {
 }
 
 /// Returns balls at points, each with its own colour. In `face_of_triangle`, each triangle has the
-/// index of its point. If all points have the same colour, instances of [`ball`] take less memory.
+/// index of its point. Points whose position or diameter is not finite, or whose diameter is not
+/// above 0, are left out.
 pub(crate) fn colored_balls(
     points: &[Vec3],
     diameter: impl Fn(usize) -> f32,

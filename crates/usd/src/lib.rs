@@ -114,7 +114,7 @@ pub fn contents(path: &Path, task: Task<'_>) -> Result<Contents, UsdError> {
     Ok(answer.package(name)?.header.contents)
 }
 
-/// Checks that the file exists, and returns its path as text.
+/// Checks that the file can be opened, and returns its path as text.
 fn file_name(path: &Path) -> Result<&str, UsdError> {
     lumistack_files::open(path).map_err(|source| UsdError::Io { place: path.display().to_string(), source })?;
     path.to_str().ok_or_else(|| {

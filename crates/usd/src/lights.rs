@@ -172,9 +172,9 @@ impl Lights {
         });
     }
 
-    /// Adds a light that has a surface. A light with a cone becomes a spot light. A sphere that is
-    /// treated as a point, or has the radius 0, becomes a point light. Any other light becomes a
-    /// mesh.
+    /// Adds a light that has a surface. A light with a cone becomes a spot light, except a
+    /// cylinder, which is left out. A sphere without a cone that is treated as a point, or has the
+    /// radius 0, becomes a point light. Any other light becomes a mesh.
     fn surface(&mut self, entry: &Entry, scene_from_light: &DAffine3, textures: &mut Textures<'_>, task: Task<'_>) {
         // Build the mesh, and compensate for its area, which is a little smaller than the area of
         // the exact shape.
@@ -252,7 +252,7 @@ impl Lights {
 /// Returns a copy of a material with the emission of a mesh that is a light (`MeshLightAPI`). With
 /// "materialGlowTintsLight" the material's own emission, if any, tints the light. With
 /// "noMaterialResponse" the material reflects nothing. `area` is the mesh's area in the scene.
-/// `None` if the light emits nothing.
+/// `None` if the entry cannot be read, or if the radiance is 0 or not finite.
 pub(crate) fn emissive(entry: &serde_json::Value, material: &Material, area: f32) -> Option<Material> {
     let entry: MeshEntry = serde_json::from_value(entry.clone()).ok()?;
     let mut radiance = Vec3::from(entry.radiance);

@@ -39,8 +39,8 @@ struct Entry {
     inputs: BTreeMap<String, Input>,
 }
 
-/// Converts an entry to a material. `None` if the shader is unknown; the display colour applies
-/// then. A texture that cannot be read is replaced by its fallback.
+/// Converts an entry to a material. `None` if the entry cannot be read or the shader is unknown;
+/// the display colour applies then. A texture that cannot be read is replaced by its fallback.
 pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, task: Task<'a>) -> Option<Loaded> {
     let mut entry: Entry = match serde_json::from_value(entry.clone()) {
         Ok(entry) => entry,

@@ -1,8 +1,8 @@
 //! Cuts polygons into triangles.
 //!
-//! A quadrilateral is cut along the diagonal that is inside it. Larger concave polygons are cut by
-//! ear clipping, in the plane of their Newell normal. Corners at one point share a vertex if all
-//! their attributes are equal.
+//! A convex polygon becomes a fan. A concave quadrilateral is cut along the diagonal that is inside
+//! it. Larger concave polygons are cut by ear clipping, in the plane of their Newell normal.
+//! Corners at one point share a vertex if all their attributes are equal.
 
 use glam::{DVec2, DVec3, Vec2, Vec3, Vec4};
 
@@ -57,8 +57,8 @@ struct Vertices<'a> {
     first: Vec<u32>,
     /// For every vertex, the next vertex of the linked list of its point.
     next: Vec<u32>,
-    /// True if all corners at any point have equal attributes, so that one vertex per point is
-    /// enough.
+    /// True if the interpolations give all corners at a point equal attributes. One vertex per
+    /// point is then enough.
     single: bool,
 }
 

@@ -92,7 +92,7 @@ pub struct Contents {
     pub time_range: Option<TimeRange>,
     /// Number of prims that OpenUSD's default traversal visits.
     pub prims: usize,
-    /// Number of meshes that this traversal visits.
+    /// Number of meshes that OpenUSD's default traversal visits.
     pub meshes: usize,
     /// Number of points of the counted meshes.
     pub points: usize,
@@ -297,8 +297,8 @@ pub(crate) struct Placement {
     pub(crate) chain: Vec<Link>,
 }
 
-/// A step in the chain of transforms from a shape to the stage. It makes one copy per matrix of all
-/// that the earlier links place.
+/// A step in the chain of transforms from a shape to the stage. For each of its matrices, it makes
+/// one copy of everything that the earlier links place.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Link {
     /// Matrices `[n][4][4]` for row vectors, as in USD: the translation is the last row.

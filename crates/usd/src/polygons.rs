@@ -71,7 +71,7 @@ impl<const N: usize> Attribute<N> {
         self.values[self.index(at)]
     }
 
-    /// Returns true if all corners at one point have the same value.
+    /// Returns true if the interpolation gives all corners at a point the same value.
     pub(crate) fn is_smooth(&self) -> bool {
         matches!(self.interpolation, Interpolation::Constant | Interpolation::Varying | Interpolation::Vertex)
     }
@@ -152,8 +152,7 @@ struct Reader<'a, 'w> {
 }
 
 impl Reader<'_, '_> {
-    /// Reads a primvar. A primvar whose values do not match the mesh is left out with a warning, as
-    /// in every USD program.
+    /// Reads a primvar. A primvar whose values do not match the mesh is left out with a warning.
     fn attribute<const N: usize>(&mut self, primvar: Option<&Primvar>) -> Option<Attribute<N>> {
         let primvar = primvar?;
         let attribute = self.fitting(primvar);

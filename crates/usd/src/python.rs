@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 /// Environment variable that names the only Python that is tried.
 pub(crate) const VARIABLE: &str = "LUMISTACK_PYTHON";
 
-/// A Python that may have OpenUSD.
+/// A Python that may have OpenUSD, or a program that may read `.blend` files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Candidate {
     pub(crate) program: PathBuf,
-    /// Source of the Python's path, such as a variable or `PATH`, for messages.
+    /// Source of the program's path, such as a variable or `PATH`, for messages.
     pub(crate) from: &'static str,
-    /// True if the user named this Python.
+    /// True if an environment variable of Lumistack names this program.
     pub(crate) given: bool,
 }
 

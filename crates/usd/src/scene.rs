@@ -120,8 +120,8 @@ struct Assembly<'a> {
     package: &'a Package<'a>,
     task: Task<'a>,
     parts: SceneParts,
-    /// Materials by their index in the package; `None` if the shader is unknown, so that the
-    /// display colour applies.
+    /// Materials by their index in the package; `None` if a material could not be converted, so
+    /// that the display colour applies.
     materials: Vec<Option<Bound>>,
     /// Indices of materials for display colours. The key has the bits of the colour, and true if
     /// the material blends.
@@ -145,8 +145,8 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// Adds the lights of the scene package to the scene: meshes with emission, point lights and
-    /// the environment.
+    /// Adds the lights of the scene package to the scene: meshes with emission, lights without a
+    /// surface, and the environment.
     fn light(&mut self, textures: &mut Textures<'_>, scene_from_stage: &DAffine3) {
         let mut lights = Lights::default();
         for entry in &self.package.header.lights {
@@ -309,7 +309,7 @@ impl<'a> Assembly<'a> {
         Ok((0..matrices.len()).filter(|&i| is_shown(i)).map(|i| affine(&matrices[i])).collect())
     }
 
-    /// Makes the meshes of a shape, one for each of its materials.
+    /// Makes the meshes of a shape, one for each material that its faces use.
     fn meshes(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let Shape::Mesh(entry) = shape else {
             return match self.other(shape, materials) {
@@ -348,8 +348,8 @@ impl<'a> Assembly<'a> {
         }
         let mut made: Vec<([Option<String>; 2], Polygons, Geometry)> = Vec::new();
         let mut meshes = Vec::new();
-        // Convert the polygons once for each pair of texture coordinate sets. Then select the faces
-        // of each material.
+        // Convert the polygons once for each pair of primvars with texture coordinates. Then select
+        // the faces of each material.
         for slot in used {
             let bound = materials[slot].and_then(|material| self.materials[material].as_ref());
             let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());

@@ -11,9 +11,11 @@ use crate::package::{Array, CurvesEntry, Package, PointsEntry, Primvar, SolidEnt
 use crate::polygons::UvNames;
 use crate::spacing::{self, Rule};
 
-/// Rule for the width of curves without widths. Some ground stays visible between hairs.
+/// Rule for the width of curves without widths. With this rule, some ground stays visible between
+/// hairs.
 const CURVES: Rule = Rule { of_spacing: 0.25, largest: 0.005, smallest: 0.0001 };
-/// Rule for the width of points without widths. Neighbouring points nearly touch.
+/// Rule for the width of points without widths. With this rule, the balls of neighbouring points
+/// nearly touch.
 const POINTS: Rule = Rule { of_spacing: 0.75, largest: 0.02, smallest: 0.0001 };
 /// Width, in scene units, of curves or points without widths. It applies if all points coincide, so
 /// that they have no spacing.

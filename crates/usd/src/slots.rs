@@ -366,8 +366,8 @@ impl<'a> Builder<'_, 'a> {
             (material.attenuation_color, material.attenuation_distance) = (color, depth);
             tint = Vec3::ONE;
         }
-        // The base colour of the scene tints diffuse and transmitted light alike. So it becomes a
-        // mix of the shader's diffuse colour and of its transmission colour.
+        // The base colour of the scene's material tints diffuse and transmitted light alike. So it
+        // becomes a mix of the shader's diffuse colour and of its transmission colour.
         let base = material.base_color.truncate().lerp(tint, factor.clamp(0.0, 1.0));
         material.base_color = base.extend(material.base_color.w);
         if factor >= 1.0 {
@@ -400,9 +400,9 @@ fn tinted(source: &Source, color: [f32; 3]) -> Source {
     }
 }
 
-/// Splits a texture's scale into a factor and a texture without scale. If there is a bias, or the
-/// scale is not in 0..1, the factor is 1 and the texture is unchanged. Emission may have any scale
-/// ≥ 0.
+/// Splits a texture into its scale, which becomes a factor, and a texture without scale. If there
+/// is a bias, or the scale is not in 0..1, the factor is 1 and the texture is unchanged. Emission
+/// may have any scale ≥ 0.
 fn factored(source: &Source, kind: Kind) -> (Vec3, Source) {
     let largest = if kind == Kind::Light { f32::MAX } else { 1.0 };
     let plain =

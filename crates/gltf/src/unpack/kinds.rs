@@ -151,8 +151,8 @@ impl Packed<'_> {
         starts.iter().any(|start| bytes.starts_with(start))
     }
 
-    /// Returns the error for content on which the decoder of a library panics, since the library
-    /// does not check for this kind of defect.
+    /// Returns the error for content without a usable result: the decoder panics, is missing, or
+    /// returns a result of another kind.
     pub fn stopped(&self) -> Unsound {
         let expected = match self {
             Self::Size(..) | Self::Picture(..) => "a sound picture",

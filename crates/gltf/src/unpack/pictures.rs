@@ -15,8 +15,7 @@ use super::kinds::{Unpacked, Unsound, Use};
 use super::ktx2;
 use crate::options::MAX_SIDE;
 
-/// Memory that a decoder may take besides the picture itself: rows, tables, and a copy in another
-/// format.
+/// Memory that a decoder may take besides two copies of the picture, for rows and tables.
 const DECODER_BYTES: u64 = 64 << 20;
 
 const TEXTURES: [ImageFormat; 3] = [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::WebP];

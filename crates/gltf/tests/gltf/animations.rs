@@ -1,5 +1,5 @@
-//! Tests of animations: each writes a small file, or takes a file of other projects, and checks the
-//! scene at one instant.
+//! Tests of animations. They write small files, or take a file of other projects, and check the
+//! scene at given times.
 
 use crate::support::{Builder, F32, I8, I16, Memory, U8, U16, assets, load_choosing, load_file_choosing};
 use glam::{Quat, Vec3};
@@ -91,7 +91,7 @@ fn splines_have_the_values_and_tangents_of_their_keys() {
 /// Returns the scale of node 1 along each of its axes. A scale may be zero.
 fn at_scale(b: &Builder, time_s: f64) -> Vec3 {
     let mut b = b.clone();
-    // the translation of a child shows the scale, even if a scale of zero hides the mesh
+    // the position of a child shows the scale, even a scale of zero, which would hide a mesh
     let child = b.push("nodes", json!({"translation": [1, 1, 1]}));
     b.set("/nodes/1", json!({"children": [child]}));
     b.push("cameras", json!({"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}));

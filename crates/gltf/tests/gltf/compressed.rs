@@ -15,8 +15,9 @@ fn data(name: &str) -> Vec<u8> {
     std::fs::read(workspace().join("crates/gltf/tests/data").join(name)).unwrap()
 }
 
-/// The vertices of a grid and its triangles. The key of a vertex is twice its grid position,
-/// rounded. A triangle has the keys of its corners, with the smallest key first.
+/// The vertices of a grid and its triangles. The key of a vertex is twice its x and y, rounded,
+/// since the grid's spacing is one half. A triangle has the keys of its corners, with the smallest
+/// key first.
 type Grid = (BTreeMap<[i32; 2], (Vec3, Vec3, Vec2)>, Vec<[[i32; 2]; 3]>);
 
 fn grid(scene: &Scene) -> Grid {
@@ -85,8 +86,8 @@ fn draco_primitives_are_decoded() {
 
 #[test]
 fn meshopt_views_are_unpacked() {
-    // EXT_meshopt_compression: the files use ATTRIBUTES, TRIANGLES, and the filters OCTAHEDRAL and
-    // QUATERNION
+    // EXT_meshopt_compression: the files use the modes ATTRIBUTES and TRIANGLES, and the filters
+    // OCTAHEDRAL and QUATERNION
     assert_same("grid-meshopt-quantize.glb", [2e-4, 5e-3, 2e-4]);
     assert_same("grid-meshopt-filter.glb", [2e-4, 2e-2, 2e-4]);
     for name in ["grid-meshopt-quantize.glb", "grid-meshopt-filter.glb"] {
@@ -98,7 +99,8 @@ fn meshopt_views_are_unpacked() {
         // at this time, the node has made an eighth of a turn about z
         assert!(x.distance(Vec3::new(1.0, 1.0, 0.0).normalize()) < 1e-3, "{name}: {x}");
     }
-    // KHR_meshopt_compression also allows the second version of the codec
+    // only KHR_meshopt_compression allows the second version of the codec, but the reader accepts
+    // that version under both names
     let mut b = Builder::triangle();
     let encoding = VertexEncoding::new(1, 2).unwrap();
     let mut workspace = Workspace::default();

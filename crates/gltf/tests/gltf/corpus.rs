@@ -14,7 +14,8 @@ use serde_json::{Value, json};
 /// Longest time in which any file of the corpus is loaded or refused.
 const MAX_LOAD_TIME: Duration = Duration::from_secs(20);
 
-/// Number of triangles of each file, including copies, as the corpus' own inventory states it.
+/// Numbers of triangles of files, including copies. They are those of the corpus' own inventory,
+/// unless a comment says otherwise.
 const TRIANGLES: [(&str, usize); 25] = [
     ("BoxMeshopt/BoxMeshopt.glb", 12),
     ("BoxMeshopt/BoxMeshopt.gltf", 12),
@@ -117,7 +118,7 @@ fn quantized_and_plain_meshes_are_the_same_surface() {
     let plain = load_file(&folder.join("TransmissionRoughnessTest/TransmissionRoughnessTest.glb")).0.unwrap();
     let name = "TransmissionRoughnessTest-quantized/TransmissionRoughnessTest-quantized.glb";
     let quantized = load_file(&folder.join(name)).0.unwrap();
-    // compressed positions have 14 bits over an extent of 2
+    // quantized positions have 14 bits over an extent of 2
     let tolerance = 2.0 / 16384.0;
     let corners = |scene: &Scene| -> Vec<Vec3> {
         let placed = scene.instances.iter().flat_map(|instance| {
@@ -136,7 +137,7 @@ fn quantized_and_plain_meshes_are_the_same_surface() {
 }
 
 /// Error codes of the Khronos validator that do not change the picture, with the reason. A file
-/// with no other errors loads.
+/// with no other errors loads, unless [`STRICT`] lists it.
 const HARMLESS: [(&str, &str); 32] = [
     ("ACCESSOR_ANIMATION_INPUT_NEGATIVE", "values hold before the first key, wherever it is"),
     ("ACCESSOR_ANIMATION_SAMPLER_OUTPUT_NON_NORMALIZED_QUATERNION", "made unit length"),
@@ -201,7 +202,8 @@ fn with_a_triangle(path: &Path) -> Option<Vec<u8>> {
     Some(b.json.to_string().into_bytes())
 }
 
-/// Files that load although the validator finds an error in them, and the reason why this is right.
+/// Files that are not refused for the error that the validator finds in them, and the reason why
+/// this is right.
 const LENIENT: [(&str, &str); 6] = [
     ("buffer/invalid_uri_data.glb", "shows nothing; its twin in JSON is refused when shown"),
     ("buffer/no_bin_chunk.glb", "shows nothing; the same is refused when shown in the tests of errors"),
@@ -218,7 +220,8 @@ const STRICT: [(&str, &str); 1] = [(
 )];
 
 /// A file with a harmful validator error is refused, at the latest when the scene shows the object
-/// that has the error. All other files load after a triangle was added to the scene.
+/// that has the error. All other files load after a triangle was added to the scene, or are refused
+/// only because they show nothing. [`LENIENT`] and [`STRICT`] list the exceptions.
 #[test]
 fn hostile_files_do_no_harm() {
     let Some(folder) = assets("hostile/gltf") else { return };
@@ -327,8 +330,8 @@ fn hostile_objects_do_no_harm_when_shown() {
 }
 
 /// Copies a file, and adds a mesh with one triangle and a node that has this mesh. The node is not
-/// in any scene. Returns the indices of mesh and node. `None` if a member that should be a list is
-/// not one.
+/// in any scene. Returns the copy, and the indices of mesh and node. `None` if a member that should
+/// be a list is not one.
 fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     let mut b = Builder { json: file.clone(), bin: Vec::new() };
     for list in ["scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers", "materials", "textures"] {
@@ -336,7 +339,7 @@ fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
             return None;
         }
     }
-    // a buffer without data gets zeros, so that the objects that use it can be read
+    // a small buffer without data gets zeros, so that the objects that use it can be read
     let buffers = b.json.get_mut("buffers").and_then(Value::as_array_mut);
     for buffer in buffers.into_iter().flatten().filter_map(Value::as_object_mut) {
         let length = buffer.get("byteLength").and_then(Value::as_u64).filter(|&length| length <= 1 << 16);
@@ -355,7 +358,8 @@ fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     Some((b, [mesh, node]))
 }
 
-/// Returns copies of a file. Each copy shows a triangle and one more object of the file.
+/// Returns copies of a file with an added triangle. Each copy shows one object of the file: beside
+/// the triangle, as a part of it, or in its place.
 fn shown_in_turn(file: &Value) -> Vec<(String, Value)> {
     let count = |list: &str| file.get(list).and_then(Value::as_array).map_or(0, Vec::len);
     let mut variants = Vec::new();

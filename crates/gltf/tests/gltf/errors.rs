@@ -1,4 +1,4 @@
-//! Broken files: each has one error, which names the place, the expected value and the value found.
+//! Broken files: the error of each names the place, the expected value and the value found.
 
 use crate::support::{Builder, F32, Memory, U8, U16, U32, error, load, load_choosing, load_with, png};
 use lumistack_core::{Cancel, Cancelled, Collector, Task};

@@ -1,4 +1,4 @@
-//! The meaning of valid files: each test writes a small file and checks the scene.
+//! The meaning of valid files: nearly every test writes a small file and checks the scene.
 
 use std::f32::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
@@ -543,8 +543,8 @@ fn scenes_that_list_children_are_shown() {
     assert_eq!(warnings[0], expected);
 }
 
-/// glTF has strides only for vertices. A stride on indices is applied if the indices fit into their
-/// view with this stride, as in other readers. Otherwise it has no effect.
+/// glTF has strides only for vertices. A stride on indices is applied if it is larger than an index
+/// and the indices fit into their view with it, as in other readers. Otherwise it has no effect.
 #[test]
 fn strides_where_none_belong_are_said() {
     for (bytes, stride, expected) in [

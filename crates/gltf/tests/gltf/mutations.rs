@@ -14,7 +14,7 @@ const SEED: u64 = 2012;
 /// Longest time that one broken file of a few kilobytes may take.
 const MAX_LOAD_TIME: Duration = Duration::from_secs(5);
 
-/// Returns a file of about 4 kB that uses nearly every feature that is read.
+/// Returns a file of a few kilobytes that uses many of the features that are read.
 fn everything() -> Builder {
     let mut b = Builder::triangle();
     let indices = b.accessor(U16, "SCALAR", 3, &[0, 0, 1, 0, 2, 0]);
@@ -78,8 +78,8 @@ fn everything() -> Builder {
     b
 }
 
-/// Loads the bytes, and returns true if they give a scene. If the reader panics, the test fails
-/// with `what`, a description of the bytes.
+/// Loads the bytes, and returns true if they give a scene. If the reader panics or takes too long,
+/// the test fails with `what`, a description of the bytes.
 fn survives(bytes: &[u8], what: &str) -> bool {
     let start = Instant::now();
     let result = catch_unwind(|| load(bytes).0.is_ok());
@@ -105,8 +105,8 @@ fn a_file_cut_anywhere_is_refused() {
 
 #[test]
 fn a_binary_chunk_cut_anywhere_is_survived() {
-    // cut only the binary chunk, in a valid container; for some of the lengths each accessor
-    // extends past the data
+    // cut only the binary chunk, in a valid container; each accessor extends past the data at some
+    // of the lengths
     let whole = everything();
     let json_length = whole.bin.len();
     for length in (0..json_length).step_by(3) {

@@ -290,7 +290,8 @@ fn reach(splat: &Splat, ends: &[Eye]) -> f32 {
     CUTOFF * (variance + PIXEL_VARIANCE).sqrt()
 }
 
-/// Returns a lower bound of the distances of the splats that the eye shows in the tile.
+/// Returns a lower bound of the distances of the splats that the eye shows in the tile. For an eye
+/// at a position, it is a bound of the squared distances.
 ///
 /// The depths of the splats are at most `z`, and they extend at most `reach` from their centres.
 fn least_distance(eye: Eye, origin: [f32; 2], z: f32, reach: f32) -> f32 {
@@ -418,7 +419,8 @@ fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: 
     canvas.flats[..canvas.used].copy_from_slice(&scratch.kept);
 }
 
-/// Appends a tile's pixels to the output. A pixel is the mean of its samples.
+/// Appends a tile's pixels to the output. A pixel's light is the mean of its samples; its depth is
+/// the depth of its last sample.
 fn write(canvas: &Canvas, out: &mut Vec<f32>) {
     let first = out.len();
     out.resize(first + TILE * TILE * VALUES, 0.0);

@@ -24,7 +24,7 @@ struct Counted {
     meshes: usize,
     #[serde(default)]
     points: usize,
-    /// Number of visible meshes of render geometry that have faces.
+    /// Number of visible meshes of render geometry that have faces, including instances.
     #[serde(default)]
     shown: usize,
     /// The reason why the walker wrote no package; `None` if it wrote one.

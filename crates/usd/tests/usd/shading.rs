@@ -8,7 +8,7 @@ use lumistack_usd::{LoadOptions, load};
 
 use crate::common;
 
-/// Loads a stage that has pictures next to it. Without a Python, reports the test as skipped and
+/// Loads a stage that has a picture next to it. Without a Python, reports the test as skipped and
 /// returns `None`.
 fn scene(text: &str) -> Option<(Scene, Vec<Warning>)> {
     common::python()?;
