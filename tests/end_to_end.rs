@@ -176,7 +176,7 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
     let run = folder.path().join("refused");
     let mut command = lumistack();
     let error = fail(command.arg("factorize").arg(&field).arg("-o").arg(&run).args(["--display", "fig7-directional"]));
-    assert!(error.contains("backlight.views") && error.contains("17 views 0.0010 apart"), "{error}");
+    assert!(error.contains("backlight.views") && error.contains("17 views whose slopes are 0.0010 apart"), "{error}");
 }
 
 #[test]

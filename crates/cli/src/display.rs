@@ -471,7 +471,7 @@ mod tests {
         assert_eq!(made(folder.path(), &words, &[], None).unwrap().layers.len(), 1);
         let words = ["--gaps-mm", "40", "--outputs", "A", "--no-questions"];
         let error = made(folder.path(), &words, &outputs(), None).unwrap_err().to_string();
-        assert!(error.contains("expected 2 names, found 1"), "{error}");
+        assert!(error.contains("expected 2 names, one for each panel, found 1"), "{error}");
     }
 
     #[test]

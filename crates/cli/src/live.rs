@@ -377,8 +377,8 @@ fn show(
     })
 }
 
-/// Returns the position of a head that sees the display's centre from these angles to the right and
-/// up, degrees.
+/// Returns the position of a head at `distance_mm` in front of the display, mm. `from_deg` has the
+/// angles, to the right and up, from which the head sees the display's centre.
 fn head_at(from_deg: [f64; 2], distance_mm: f64) -> [f64; 3] {
     let [x, y] = from_deg.map(|angle| distance_mm * angle.to_radians().tan());
     [x, y, distance_mm]

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 /// code starts with the code at the lower end of a bin.
 const BINS: usize = 4096;
 
-/// A table for [`srgb_code`]. The formula calls `f32::powf` for every value, which would take most
+/// A table of the codes that [`srgb_code`] returns. Without the table, `f32::powf` would take most
 /// of the time to write a picture.
 pub struct SrgbCodes {
     /// The code of each bin's lower end.

@@ -141,6 +141,7 @@ fn from_bytes(bytes: Vec<u8>) -> PathBuf {
 #[cfg(any(windows, test))]
 fn wide(bytes: &[u8]) -> Vec<u16> {
     // 0xED begins a character of three bytes, so it is never the second or third byte of another
+    // character
     let is_surrogate = |bytes: &[u8]| matches!(bytes, [0xED, 0xA0..=0xBF, 0x80..=0xBF]);
     let mut units = Vec::new();
     let mut rest = bytes;

@@ -287,7 +287,7 @@ mod tests {
                 let exposed = i as f32 / 10_000.0;
                 let shown = curve.apply([exposed; 3]);
                 // exposures are 1e-4 apart and the slope of a curve is at most 2, so neighbouring
-                // values differ by at most 2e-4 and by rounding
+                // values differ by at most 2e-4, apart from rounding
                 let step = shown[1] - last[1];
                 assert!((-1e-6..=2.1e-4).contains(&step), "{name}: from {last:?} to {shown:?} at {exposed}");
                 assert!(shown.iter().all(|v| (v - shown[1]).abs() < 2e-3), "{name}: a grey stays grey: {shown:?}");

@@ -14,8 +14,8 @@ const MOST_BINS: usize = 64;
 impl Display {
     /// Returns this display at another resolution. The field becomes `resolution` = [columns, rows]
     /// pixels over the same width. The numbers of mask pixels and of lenslets change in proportion
-    /// to the field's. The lenslets cover at least the same fraction of the field. Point spreads
-    /// keep their width in millimetres, so that a coarse preview blurs as the display does.
+    /// to the field's. The lenslets cover at least the same fraction of the field as before. Point
+    /// spreads keep their width in millimetres, so that a coarse preview blurs as the display does.
     /// Physical panels stay the same, and colour filters stay stripes of one mask column.
     #[must_use]
     pub fn with_resolution(&self, resolution: [usize; 2]) -> Self {
@@ -90,8 +90,8 @@ impl Display {
         Ok(display)
     }
 
-    /// Returns the number of bins along an axis, and their full angle in degrees, for a backlight
-    /// that follows the views of a light field.
+    /// Returns the number of bins along an axis, and the full angle of all bins in degrees. These
+    /// are the bins of a backlight that follows the views of a light field.
     fn adapted_bins(
         &self,
         own: &LensletBacklight,
@@ -325,7 +325,10 @@ mod tests {
         let grid = ViewGrid::uniform(projection, [17, 17], [2.0, 2.0]).unwrap();
         let geometry = FieldGeometry { rows: 300, cols: 480, pitch_mm: 1.0, grid };
         let error = directional().adapted_to(&geometry).unwrap_err().to_string();
-        assert!(error.contains("17 views 0.0021 apart") && error.contains("uniform backlight"), "{error}");
+        assert!(
+            error.contains("17 views whose slopes are 0.0021 apart") && error.contains("uniform backlight"),
+            "{error}"
+        );
         assert!(small_display().adapted_to(&geometry).is_ok());
     }
 

@@ -2,7 +2,7 @@
 //! every field pixel.
 //!
 //! Layers consist of squares of constant value. So along an axis, two rays read different values
-//! only if an edge lies between them: of a layer pixel, a lenslet or a bin. Each axis of a field
+//! only if the edge of a layer pixel, a lenslet or a bin lies between them. Each axis of a field
 //! pixel is cut at all these edges. All rays between two cuts read the same values. So one ray
 //! represents the part of the pixel between two cuts, with the part's width as its weight. The
 //! intersections are separable, so the pixel's area is divided into products of a part along x and
@@ -67,7 +67,8 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
         if let Backlight::Lenslets(lenslets) = &display.backlight {
             let count = lenslets.lenslets[axis.index()];
             cut_at_whole_numbers(&mut cuts, [&first, &last].map(|ray| axis.lenslet(lenslets, ray)), count);
-            // Bins may repeat outside their range, but only as often as there are lenslets.
+            // Bins may repeat on both sides of their range, at most once per lenslet. So add
+            // `reach` to their positions, which makes all their edges numbers from 0.
             let bins = [&first, &last].map(|ray| axis.bin(lenslets, ray));
             let reach = lenslets.views[axis.index()].saturating_mul(count + 1);
             cut_at_whole_numbers(&mut cuts, bins.map(|bin| bin + reach as f64), reach.saturating_mul(2));

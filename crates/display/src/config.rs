@@ -160,7 +160,8 @@ impl Display {
         Ok(display)
     }
 
-    /// Writes a display file with every default value included.
+    /// Returns the display as the text of a display file. The text includes default values, except
+    /// the default `colour_order`.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a display holds nothing that TOML cannot")
     }
@@ -198,7 +199,7 @@ impl Display {
 
     /// Returns the display without the calibration of its panels and its lens array, and with the
     /// default colour order. Patterns depend on none of these. So two displays that differ only in
-    /// them have the same patterns.
+    /// these values have the same patterns.
     #[must_use]
     pub fn without_panels(&self) -> Self {
         let mut display = Self { colour_order: Default::default(), ..self.clone() };

@@ -106,7 +106,7 @@ impl<'a> Simulator<'a> {
 
     /// Returns the seen picture of a view: for every pixel of `geometry`, the mean emission along
     /// the rays of the view through the pixel's area. The mean is exact. Layers consist of squares
-    /// of constant value, and pixels are cut where rays cross from one square to the next.
+    /// of constant value. Pixels are cut at the edges of these squares, of lenslets and of bins.
     pub fn seen(&self, geometry: &FieldGeometry, view: [usize; 2]) -> SeenView {
         let area = AreaMap::new(self.display, geometry, view);
         let missing = self.display.missing;
@@ -206,8 +206,8 @@ pub fn view_from_eye(display: &Display, stack: &LayerStack, eye_mm: [f64; 3]) ->
     Simulator::new(display, stack).from_eye(eye_mm)
 }
 
-/// Returns true if a ray is valid. It must hit the lenslets and, under [`Missing::Drop`], every
-/// layer.
+/// Returns true if a ray is valid. A valid ray hits the lenslets, if there are any, and under
+/// [`Missing::Drop`] it hits every layer.
 #[inline]
 pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize, col: usize) -> bool {
     let layers = missing == Missing::Clear
@@ -323,16 +323,16 @@ fn combine_backlight(
     }
 }
 
-/// Returns sin²(π/2 · x) for 0 ≤ x < 1000, where x is at most the number of layers. The absolute
-/// error is below 1e-6 for x ≤ 8. With `f32::sin` this function would take most of the time of a
-/// view.
+/// Returns sin²(π/2 · x) for 0 ≤ x < 1000. The sum x of the layers' values is at most the number of
+/// layers. The absolute error is below 1e-6 for x ≤ 8. With `f32::sin` this function would take
+/// most of the time of a view.
 fn sin2_of_quarter_turns(x: f32) -> f32 {
     // An `f32` near 1.5 · 2²³ has no bits for a fraction. So the addition of `ROUND` rounds to the
     // nearest whole number of half turns.
     const ROUND: f32 = 12_582_912.0;
     let half_turns = (0.5 * x + ROUND) - ROUND;
     let angle = std::f32::consts::FRAC_PI_2 * (x - 2.0 * half_turns);
-    // Sum the Taylor series of the sine. Its next term is at most 6e-8 for |angle| ≤ π/2.
+    // Sum the Taylor series of the sine. The first omitted term is at most 6e-8 for |angle| ≤ π/2.
     let s = angle * angle;
     let series = [-1.0 / 39_916_800.0, 1.0 / 362_880.0, -1.0 / 5040.0, 1.0 / 120.0, -1.0 / 6.0, 1.0];
     (angle * series.into_iter().fold(0.0, |sum, factor| sum * s + factor)).powi(2)

@@ -20,11 +20,11 @@ const VIEWS_PER_BIN: f64 = 3.0;
 /// * The change that moves the rays by one bin of the backlight.
 ///
 /// Suppose that all layers have one pitch, and the first change is the smallest. Then every
-/// multiple of the step shifts the farthest layer, or the layers at the largest gap, by whole
-/// pixels. If every layer is in the display plane or at the distance max |Δd| from it, all layers
-/// shift by whole pixels. One ray per pixel is then exact for the pixel's area. At slopes between
-/// two neighbouring multiples, two neighbouring layers combine only pairs of pixels that they also
-/// combine at one of these multiples.
+/// multiple of the step shifts the layer farthest from the display plane, or the two layers at the
+/// largest gap against each other, by whole pixels. If every layer is in the display plane or at
+/// the distance max |Δd| from it, all layers shift by whole pixels. One ray per pixel is then exact
+/// for the pixel's area. At slopes between two neighbouring multiples, two neighbouring layers
+/// combine only pairs of pixels that they also combine at one of these multiples.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =
@@ -68,9 +68,10 @@ impl Display {
     /// Returns the step of slopes (x, y) of [`Views::Auto`]. It is the smaller of the
     /// [native](native_step) step and a third of a bin of a directional backlight. If this step
     /// gives more than `most_views` views, or more than 101 along an axis, the function returns a
-    /// multiple of the step. An axis with parallax keeps at least three views, since a display
-    /// that is solved for one direction is wrong in all others. So its step is at most 0.8 of half
-    /// the zone's width. The step of an axis without parallax is 0.
+    /// multiple of the step. An axis with parallax keeps at least three views, since a display that
+    /// is solved for one direction is wrong in all others. So the step of such an axis is at most
+    /// 0.8 of half the zone's width. The step of an axis without parallax, or without field of
+    /// view, is 0.
     pub fn auto_step(&self, most_views: usize) -> [f64; 2] {
         let half = self.field.fov_deg.map(half_width);
         let mut native = native_step(self);

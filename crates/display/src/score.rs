@@ -41,7 +41,9 @@ impl Score {
     }
 }
 
-/// Returns the squared error of one emitted view against one target view `[row][col][rgb]`.
+/// Returns the squared error of an emitted view, divided by `brightness`, against a target view
+/// `[row][col][rgb]`. The error includes valid rays for which `weight(index of the pixel)` is above
+/// 0.
 pub fn view_error(
     emitted: &EmittedView,
     target: &[f32],

@@ -2,11 +2,11 @@
 //! light may be averaged without loss of these frequencies.
 //!
 //! Along one axis the support is the Minkowski sum of the segments ±g of the layers and lenslets
-//! ([`Display::spatial_cutoff`]). This sum is a polygon that is symmetric about the origin. Its
-//! first axis is the spatial frequency ω_x, in cycles per millimetre. Its second axis is the
-//! frequency per slope ω_s, in cycles per unit of slope (the paper's ω_v with d_r = 1). The polygon
-//! is a box for a lens array, a diamond for two layers, and a hexagon for three layers (the paper's
-//! Figure 4).
+//! ([`Display::spatial_cutoff`]). This sum is a polygon that is symmetric about the origin. The
+//! first axis of its plane is the spatial frequency ω_x, in cycles per millimetre. The second axis
+//! is the frequency per slope ω_s, in cycles per unit of slope (the paper's ω_v with d_r = 1). The
+//! polygon is a box for a lens array, a diamond for two layers, and a hexagon for three layers (the
+//! paper's Figure 4).
 //!
 //! Let ω_s now be the support's extent on the axis ω_x = 0. This extent limits the spatial
 //! frequency at depths z far from the display: ω(z) → ω_s/|z|. An average of light over slopes of

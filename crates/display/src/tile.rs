@@ -1,5 +1,5 @@
-//! Cuts a display into tiles. A tile has its own pixels, the rays through them, and all other
-//! pixels that these rays hit. Only the values of its own pixels are kept.
+//! Cuts a display into tiles. A tile has own, free and held pixels on every layer. Only the values
+//! of its own pixels are kept.
 //!
 //! ```text
 //! held   ┌───────────────────────┐   hit by rays through free pixels; fixed in a solve
@@ -105,8 +105,8 @@ impl Tiling {
     }
 
     /// Returns the numbers of the tiles that have own pixels among the held pixels of tile
-    /// `number`, ascending. The number itself is included. The solver of the tile reads the
-    /// patterns of these tiles.
+    /// `number`, ascending. The list includes `number`. The solver of tile `number` reads the
+    /// patterns of all listed tiles.
     pub fn around(&self, number: usize) -> Vec<usize> {
         let tile = self.tile(number);
         let shares = |other: &usize| {
@@ -293,8 +293,8 @@ impl Region {
 }
 
 impl Tile {
-    /// Returns a display that consists of the tile's held pixels, at their positions in the whole
-    /// display.
+    /// Returns a display that consists of the tile's held pixels. Its origin is the centre of the
+    /// tile's field pixels.
     pub fn display(&self, whole: &Display, geometry: &FieldGeometry) -> Display {
         let mut display = whole.without_panels();
         display.field.resolution = [self.field.cols.len(), self.field.rows.len()];
@@ -388,7 +388,7 @@ impl Tile {
         target
     }
 
-    /// Returns the weights of the tile's rays; `None` if all these weights are 0.
+    /// Returns the weights of the tile's rays. `None` if the weights are per ray, and all 0.
     pub fn weights(&self, whole: &Weights) -> Option<Weights> {
         let Weights::PerRay(weights) = whole else { return Some(whole.clone()) };
         let [view_rows, view_cols, _, _] = weights.shape();

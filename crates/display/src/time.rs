@@ -64,7 +64,8 @@ mod tests {
         display.colour_sequence = ColourSequence::Field;
         let warning = display.flicker_warning().unwrap();
         assert!(
-            warning.starts_with("6 frames of 3 colours in turn at 360 Hz") && warning.ends_with("1080 Hz"),
+            warning.starts_with("at 360 Hz the display shows 6 frames of 3 colours in turn")
+                && warning.ends_with("1080 Hz"),
             "{warning}"
         );
         // A display of one frame shows the same image at every refresh, so it cannot flicker at any
@@ -72,6 +73,6 @@ mod tests {
         let still = Display { frames: 1, refresh_hz: 30.0, ..small_display() };
         assert_eq!(still.flicker_warning(), None);
         let coloured = Display { colour_sequence: ColourSequence::Field, ..still };
-        assert!(coloured.flicker_warning().unwrap().starts_with("3 colours in turn at 30 Hz"));
+        assert!(coloured.flicker_warning().unwrap().starts_with("at 30 Hz the display shows 3 colours in turn"));
     }
 }

@@ -209,9 +209,9 @@ mod tests {
             (
                 vec![at([0.0, 0.0, 0.0])],
                 0.0,
-                "weights: expected eye box 0 in front of the display (z > 0), found [0.0, 0.0, 0.0] mm",
+                "weights: expected a position of eye box 0 in front of the display (z > 0), found [0.0, 0.0, 0.0] mm",
             ),
-            (vec![good, at([f64::NAN, 0.0, 500.0])], 0.0, "weights: expected eye box 1 in front"),
+            (vec![good, at([f64::NAN, 0.0, 500.0])], 0.0, "weights: expected a position of eye box 1 in front"),
             (vec![EyeBox { sigma_mm: 0.0, ..good }], 0.0, "weights: expected sigma_mm > 0 for eye box 0, found 0"),
             (vec![EyeBox { sigma_mm: f64::INFINITY, ..good }], 0.0, "weights: expected sigma_mm > 0"),
             (vec![EyeBox { weight: -1.0, ..good }], 0.0, "weights: expected a weight ≥ 0 for eye box 0, found -1"),

@@ -53,8 +53,8 @@ pub struct Reading<'a> {
     pub change: Option<&'a dyn Fn(&mut [f32])>,
 }
 
-/// A function that returns the folder for a light field's file, and the number of its bytes that
-/// may be in memory. The result `None` keeps the light field in memory.
+/// A function that returns the folder for a light field's file, and the number of the file's bytes
+/// that may be in memory. The result `None` keeps the light field in memory.
 pub type Paging<'a> = &'a dyn Fn(&FieldGeometry) -> Option<(&'a Path, usize)>;
 
 /// The parts of a source to read, and their geometry.
@@ -279,8 +279,9 @@ impl Window {
         Ok(window)
     }
 
-    /// Makes pixels square and reduces the picture to `resolution`. `pixel_aspect` is the width of
-    /// a file's pixel divided by its height.
+    /// Chooses the size of the result so that its pixels are square. With `resolution`, crops the
+    /// rectangle to this aspect. `pixel_aspect` is the width of a file's pixel divided by its
+    /// height.
     fn fit(&mut self, source: &Source, resolution: Option<[usize; 2]>, pixel_aspect: f64) -> Result<(), FieldError> {
         let pixel_aspect = if (pixel_aspect - 1.0).abs() < SQUARE { 1.0 } else { pixel_aspect };
         let rounded = |length: f64| (length.round() as usize).max(1);

@@ -231,7 +231,8 @@ mod tests {
         rename_aside(&path).unwrap();
         assert!(names(folder.path()).is_empty(), "no program has mapped the file");
         assert!(rename_aside(&path).is_err() && names(folder.path()).is_empty(), "there is no file");
-        // only Windows needs this, and files that are protected from writing stay
+        // `set_aside` fails on other systems than Windows, and for a file that is protected from
+        // writing
         write_bytes(&path, b"old").unwrap();
         let mut permissions = fs::metadata(&path).unwrap().permissions();
         permissions.set_readonly(true);

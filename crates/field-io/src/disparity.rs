@@ -6,15 +6,15 @@
 
 use lumistack_core::colour;
 
-/// Motion of content from the first picture to the second, in pixels. It is positive towards higher
-/// columns or rows.
+/// Motion of content from the first picture to the second: percentiles of the shifts of all blocks
+/// with a distinct minimum. A shift towards higher columns or rows is positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Motion {
-    /// 10th percentile of the shifts of all blocks with a distinct minimum, pixels.
+    /// 10th percentile of the shifts, pixels.
     pub(crate) low: f64,
-    /// Median of these shifts, pixels.
+    /// Median of the shifts, pixels.
     pub(crate) median: f64,
-    /// 90th percentile of these shifts, pixels.
+    /// 90th percentile of the shifts, pixels.
     pub(crate) high: f64,
 }
 

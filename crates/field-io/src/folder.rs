@@ -149,10 +149,11 @@ fn write_view_as(
 /// lists each view [view_y, view_x] once. Files have the same names as in the folder of the whole
 /// field.
 ///
-/// A selection of whole rows and columns is a complete light field. Its index has the slopes of
-/// these rows and columns only. `info.part_of` lists these rows and columns, and has the number of
-/// view rows and of view columns of the whole field. For another selection, the index has the
-/// slopes of all views and `"partial": true`, and readers refuse the folder.
+/// If `views` holds all crossings of some view rows with some view columns, the result is a
+/// complete light field. Its index has the slopes of these rows and columns only. If some rows or
+/// columns are missing, `info.part_of` lists the selected ones, and has the number of view rows and
+/// of view columns of the whole field. For another selection, the index has the slopes of all views
+/// and `"partial": true`, and readers refuse the folder.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.
@@ -175,7 +176,8 @@ pub fn write_views(
     if views.len() == all[0] * all[1] {
         return write_index(folder, geometry, info);
     }
-    // Whole rows and columns form a complete light field; other selections are marked partial.
+    // All crossings of some rows and columns form a complete light field. Other selections are
+    // marked partial.
     let of_axis = |axis: usize| views.iter().map(|view| view[axis]).collect::<BTreeSet<_>>().into_iter().collect();
     let [rows, cols]: [Vec<usize>; 2] = [of_axis(0), of_axis(1)];
     let is_grid = rows.len() * cols.len() == views.len();

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 /// Folder of the crate's code.
 const SOURCES: &str = "src";
 const MANIFEST: &str = "Cargo.toml";
-/// Name of the file in a packaged crate that has the manifest as its author wrote it.
+/// Name of the original manifest in a packaged crate, whose `Cargo.toml` cargo has rewritten.
 const ORIGINAL_MANIFEST: &str = "Cargo.toml.orig";
 
 /// Sets `LUMISTACK_FINGERPRINT` for the crate whose build script calls this function. The

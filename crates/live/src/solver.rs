@@ -218,7 +218,8 @@ fn with_border(
     Ok(stack)
 }
 
-/// Returns all pixels of each layer of a tile's display.
+/// Returns the regions of all pixels of the whole display: one region per layer, and one for the
+/// lenslets.
 fn whole(tile: &Tile) -> Vec<Region> {
     tile.whole.iter().map(|&[rows, cols]| Region { rows: 0..rows, cols: 0..cols }).collect()
 }

@@ -25,8 +25,8 @@ pub struct Bars<'a> {
     pub shares: &'a [f64],
 }
 
-/// Draws a line through finite points, and writes the last value, in decibels, at the line's end.
-/// `labels` name the horizontal and the vertical axis.
+/// Draws a line through `points`, which must be finite. Writes the last value, in decibels, at the
+/// line's end. `labels` name the horizontal and the vertical axis.
 ///
 /// # Errors
 /// If there are no points.

@@ -161,7 +161,7 @@ pub fn areas(axes: &Axes, areas: &[Area]) -> Result<String, PlotError> {
     })
 }
 
-/// Draws a map: a cell for each value, with its number, coloured from dark blue to yellow.
+/// Draws a map: a cell for each value, with the value as text, coloured from dark blue to yellow.
 ///
 /// # Errors
 /// If the map has no cells.
@@ -186,7 +186,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
         };
         write(map.title.clone(), left, 16, 15, HPos::Left, BLACK)?;
         write(map.value_label.clone(), left, 33, 12, HPos::Left, RGBColor(90, 90, 90))?;
-        // Draw cells row by row, from the bottom up, each with its number.
+        // Draw cells row by row, from the bottom up, each with its value as text.
         for (row, (name, values)) in map.rows.iter().zip(&map.values).enumerate() {
             let y = top + cell[1] * (rows - 1 - row) as i32;
             write(name.clone(), left - 8, y + cell[1] / 2, 13, HPos::Right, BLACK)?;

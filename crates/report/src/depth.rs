@@ -41,8 +41,9 @@ pub struct DepthBudget {
     pub depth_scale: f64,
     /// True if the window or the parallax was changed to fit the scene.
     pub fitted: bool,
-    /// Fractions of hits by depth in millimetres, and by disparity in pixels.
+    /// Fractions of hits by depth, millimetres.
     pub(crate) by_depth: Histogram,
+    /// Fractions of hits by disparity, pixels.
     pub(crate) by_disparity: Histogram,
     /// The bound on the spatial frequency by depth. Each point has a depth z in millimetres, and
     /// the highest frequency at z divided by the highest frequency of the light field's pixels.

@@ -88,8 +88,9 @@ pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// Simulates the display and makes the report.
 ///
-/// # Errors If stack or weights do not match display and target, if a picture or a plot cannot be
-/// made, or if the task is cancelled.
+/// # Errors
+/// If stack or weights do not match display and target, if a picture or a plot cannot be made, or
+/// if the task is cancelled.
 pub fn build(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     input.stack.check(input.display)?;
     input.weights.check(input.target.geometry())?;

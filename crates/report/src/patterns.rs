@@ -164,8 +164,9 @@ fn encode_sheet(
 fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp, ReportError> {
     /// Fraction of the values that may be clipped at each end.
     const CLIPPED: f64 = 0.01;
-    /// The contrast is stretched only if the 1st percentile of the section's values is above this,
-    /// or the 99th percentile is below 1 minus this. Otherwise the stretch would be invisible.
+    /// The contrast is stretched only if the 1st percentile of the section's values is above
+    /// `LITTLE`, or the 99th percentile is below 1 − `LITTLE`. Otherwise the stretch would be
+    /// invisible.
     const LITTLE: f32 = 0.02;
     let [frames, rows, cols, _] = layer.shape();
     let part = |whole: &Linear| whole.cropped(window.row, window.col, window.rows, window.cols).green();

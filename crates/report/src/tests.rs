@@ -295,7 +295,10 @@ fn unusable_input_is_an_error() {
     let (small, large) = (display(2, 2, [3, 3], [12, 8], ""), display(2, 2, [3, 3], [13, 8], ""));
     let (stack, target) = (noisy_stack(&large), noisy_field(&small, None));
     let error = built(&plain(&small, &stack, &target)).unwrap_err();
-    assert!(error.to_string().starts_with("layer stack: shape of layer 0: expected [2, 8, 12, 3]"), "{error}");
+    assert!(
+        error.to_string().starts_with("layer stack: shape [frame][row][col][rgb] of layer 0: expected [2, 8, 12, 3]"),
+        "{error}"
+    );
     let stack = noisy_stack(&small);
     let weights = Weights::PerView(Tensor::filled(["view_y", "view_x"], [1, 1], 1.0));
     let error = built(&ReportInput { weights: &weights, ..plain(&small, &stack, &target) }).unwrap_err();

@@ -13,9 +13,9 @@
 //! An edition is a version of preview.json. WORD is a secret that the page has received. The query
 //! of `/.live` describes the content of the page: `after` is the number of the state, `edition` the
 //! name of the edition, and `said` the number of the message. In the response, `said` is the number
-//! of the newest message, and `files` has the length of each file that preview.json lists, in the
-//! order of this list. The response contains the text of preview.json if the page has another
-//! edition. A response without a newer state has no files.
+//! of the newest message. `files` has the length of each file that preview.json lists, in the order
+//! of this list. The response contains the text of preview.json if the page has another edition. A
+//! response without a newer state has no files.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};

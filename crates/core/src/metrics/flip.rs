@@ -62,12 +62,15 @@ pub struct Flip {
 
 /// A band of a picture after the filters of the visual system.
 struct Seen {
-    /// Lightness, a and b of Lab after Hunt's effect, one value per pixel.
+    /// Lightness of Lab at every pixel.
     lightness: Vec<f32>,
+    /// The value a of Lab at every pixel, after Hunt's effect.
     a: Vec<f32>,
+    /// The value b of Lab at every pixel, after Hunt's effect.
     b: Vec<f32>,
-    /// Strength of edges and of points at every pixel, from the derivatives of Y.
+    /// Strength of edges at every pixel, from the first derivatives of Y.
     edges: Vec<f32>,
+    /// Strength of points at every pixel, from the second derivatives of Y.
     points: Vec<f32>,
 }
 

@@ -1,4 +1,5 @@
-//! Tests the forward model for every formation, sampling, border rule, backlight and projection.
+//! Tests the forward model for every formation, sampling, backlight and projection, and for both
+//! values of [`Missing`].
 
 use lumistack_core::seed::{Stream, derive};
 
@@ -16,7 +17,8 @@ const AGREEMENT: f64 = 1e-5;
 const FORMATIONS: [Formation; 3] = [Formation::Attenuating, Formation::Additive, Formation::Polarization];
 
 /// Returns a display whose layers have random sizes, pitches and positions. `formation` and
-/// `choices` select the display's other properties.
+/// `choices` select the display's other properties. If `seed` is a multiple of 3, the backlight is
+/// uniform.
 fn random_display(formation: Formation, choices: [bool; 5], seed: u64) -> Display {
     let [bilinear, clear, perspective, limited, repeat] = choices;
     let mut random = Stream::new(derive(seed, &[]));

@@ -44,8 +44,9 @@ pub fn write_exr(path: &Path, size: [usize; 2], rgb: &[f32], precision: Precisio
 }
 
 /// Writes like [`write_exr`], but uncompressed and with a text in the header's attribute
-/// `comments`, which [`Picture::read_noted`] returns. Such a file is soon read again, and
-/// compression of a noisy view with few samples would take half as long as its rendering.
+/// `comments`, which [`Picture::read_noted`] returns. The file is not compressed, since it is soon
+/// read again. Compression of a noisy view with few samples would take half as long as the view's
+/// rendering.
 ///
 /// # Errors
 /// If writing fails.
@@ -280,7 +281,7 @@ pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), Field
 }
 
 /// Returns the indices of the channels R, G and B. Channels without a prefix are preferred.
-/// Otherwise all three have the same prefix, such as `layer.`: the first one for which all three
+/// Otherwise all three have the same prefix, such as `layer.`: the first prefix for which all three
 /// exist. If there are no such channels, the index of luminance is returned three times. Colours in
 /// OpenEXR are premultiplied by alpha, so they are already composited over black.
 fn rgb_channels(names: &[String]) -> Option<[usize; 3]> {

@@ -50,8 +50,9 @@ pub fn defaults() -> GeometryDefaults {
     GeometryDefaults { width_mm: Some(400.0), fov_deg: Some([20.0, 20.0]) }
 }
 
-/// Returns a folder of third-party files next to the workspace. If it is missing, the test is
-/// reported as skipped, and the result is `None`.
+/// Returns the path `below` in a folder of third-party files. The environment variable `variable`
+/// names the folder; the default is `../shared/` followed by `default`. If the path is missing, the
+/// test is reported as skipped, and the result is `None`.
 pub fn assets(variable: &str, default: &str, below: &str) -> Option<PathBuf> {
     let path = lumistack_testkit::skip::folder(variable, &format!("../shared/{default}"))?.join(below);
     if path.exists() {

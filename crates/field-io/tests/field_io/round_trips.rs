@@ -317,8 +317,8 @@ np.save("theirs.npy", a[:, ::-1].astype(">f8"))
 "#;
     let output = Command::new(python).args(["-c", script]).current_dir(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // NumPy wrote a copy of layer 0 with big-endian doubles and reversed rows, so its first row is
-    // our last row
+    // NumPy wrote a copy of layer 0 with big-endian doubles and reversed rows, so the first row of
+    // the copy is the last row of layer 0
     let (shape, values) = npy::read(&folder.path().join("theirs.npy")).unwrap();
     assert_eq!(shape, [2, 5, 7, 3]);
     assert_eq!(values[..21], stack.layers[0].data()[4 * 21..5 * 21]);

@@ -6,9 +6,9 @@
 //! −z·Δs/p pixels. Here Δs is the difference of the views' slopes, and p the pixel pitch. Between
 //! pinholes at distance D, content is shifted by q = −z·Δs/(1 − z/D) millimetres.
 //!
-//! The best shift of a pixel is accepted if it is clearly better than the mean over all shifts. Any
-//! other pixel takes the nearest accepted shift of its row. A row without accepted shifts gets the
-//! depth of the display plane. A median over squares removes outliers.
+//! The best shift of a pixel is accepted if it is clearly better than the mean over all shifts. A
+//! pixel without an accepted shift takes the nearest accepted shift of its row. A row without
+//! accepted shifts gets the depth of the display plane. A median over squares removes outliers.
 
 use lumistack_core::colour::luminance;
 use lumistack_display::{FieldGeometry, LightField, Projection};
@@ -183,8 +183,8 @@ impl Levels {
     }
 }
 
-/// Returns the shift of least cost; NaN if it is not clearly better than the mean. `pixels` is the
-/// number of pixels over which a cost is summed.
+/// Returns the shift of least cost; NaN if this cost is not clearly below the mean cost. `pixels`
+/// is the number of pixels over which a cost is summed.
 fn best(cost: impl Fn(usize) -> u32, reach: usize, pixels: u32) -> f32 {
     let place = (0..=2 * reach).min_by_key(|&shift| (cost(shift), shift.abs_diff(reach))).unwrap_or(reach);
     let mean = (0..=2 * reach).map(|shift| u64::from(cost(shift))).sum::<u64>() / (2 * reach as u64 + 1);

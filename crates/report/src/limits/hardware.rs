@@ -15,8 +15,9 @@ const BRIGHTER_SHOWN: f64 = 0.1;
 
 /// Fractions of the stack's values that are at the ends of their ranges.
 pub(super) struct Ends {
-    /// Fractions for each layer, rearmost first, and then for the backlight.
+    /// Fractions at the darkest value: for each layer, rearmost first, and then for the backlight.
     darkest: Vec<f64>,
+    /// Fractions at the brightest value, in the order of `darkest`.
     brightest: Vec<f64>,
 }
 

@@ -1,5 +1,5 @@
-//! Variants: displays and stacks that differ from the given display and stack in one property. Also
-//! the errors of each variant.
+//! Variants: displays and stacks that differ from the given display and stack in one property. This
+//! file also computes the errors of the variants.
 
 use std::borrow::Cow;
 
@@ -213,7 +213,7 @@ impl Tone {
     /// Returns (offset, slope, fraction) with x = L̃/β and y = L. Offset and slope belong to the
     /// line x ≈ offset + slope·y, which approximates the shown value x of a target value y. The
     /// fraction is the fraction of the squared error that the best line y ≈ a + b·x would remove.
-    /// `None` if x, y or the error hardly varies.
+    /// `None` if x or y hardly varies, or if there is hardly any error.
     pub(super) fn fit(self) -> Option<(f64, f64, f64)> {
         let [x, y, xx, xy, yy] = self.sums.map(|sum| sum / self.count);
         let (var_x, var_y, cov) = (xx - x * x, yy - y * y, xy - x * y);

@@ -15,7 +15,7 @@ pub(crate) struct ViewFigures {
     pub(crate) error: SquaredError,
     /// SSIM of L̃/β and L, sRGB-encoded.
     pub(crate) ssim: Mean,
-    /// FLIP error of L̃/β against L, sRGB-encoded.
+    /// FLIP error of L̃/β against L, from linear light.
     pub(crate) flip: Mean,
     /// Mean luminance of L̃.
     pub(crate) emitted: Mean,

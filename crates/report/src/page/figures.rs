@@ -257,7 +257,7 @@ impl Heat {
     }
 }
 
-/// Makes the section about the limits of the result, and its brightness.
+/// Makes the section about the limits of the result, and about the display's brightness.
 pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
     html! {
         section id="limits" {

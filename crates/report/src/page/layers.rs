@@ -1,5 +1,5 @@
-//! The masks: large pictures, close-ups, and every frame. They have the order in which light goes
-//! through the layers.
+//! The masks: large pictures, close-ups, and every frame. The masks have the order in which light
+//! goes through the layers.
 
 use lumistack_display::{Backlight, Display, Formation};
 use maud::{Markup, html};
