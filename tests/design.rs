@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::common::{fail, lumistack, root, succeed};
+use crate::common::{fail, lumistack, number, report, root, succeed};
 
 /// Returns the job of a sweep of 18 small designs on a light field that needs no rendering.
 fn small_sweep(folder: &Path) -> std::path::PathBuf {
@@ -253,4 +253,59 @@ fn the_committed_tables_show_the_papers_trends() {
             assert!(psnr(0.2) > psnr(0.5) && psnr(0.5) > psnr(1.0), "{display}, {frames} frames: light costs quality");
         }
     }
+}
+
+/// Writes weights of 3 × 3 views of which one is 1, and all others are 0.
+fn one_view(path: &Path) {
+    let header = format!("{:<117}\n", "{'descr': '<f4', 'fortran_order': False, 'shape': (3, 3), }");
+    let mut bytes = [b"\x93NUMPY\x01\x00v\x00", header.as_bytes()].concat();
+    bytes.extend((0..9).flat_map(|view| f32::from(u8::from(view == 4)).to_le_bytes()));
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// A row has the score that a run of the job has, with the job's weights. A display file of a node is
+/// read again if it changes, and rows do not have a warm start.
+#[test]
+fn a_sweep_solves_as_a_run_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    one_view(&at("w.npy"));
+    let base = "[source]\nplugin = \"test_views\"\nparams = { pattern = \"cards\", depth_mm = 60.0 }\n\n[display]\npreset = \"fig7-uniform\"\nresolution = [32, 20]\nviews = [3, 3]\n\n";
+    let write = |name: &str, text: &str| std::fs::write(at(name), format!("{base}{text}")).unwrap();
+    let factorize = "[factorize]\niterations = 20\nweights = \"w.npy\"\n\n";
+    write("run.toml", factorize);
+    write("sweep.toml", &format!("{factorize}[sweep]\nframes = [3]\n"));
+    succeed(lumistack().arg("run").arg(at("run.toml")).args(["--frames", "3", "-o"]).arg(at("run")));
+    succeed(lumistack().arg("sweep").arg(at("sweep.toml")).arg("-o").arg(at("sweep")));
+    let (run, row) = (number(&report(&at("run")), "psnr_view"), number(&rows(&at("sweep"))[0], "psnr_view_db"));
+    assert!((run - row).abs() < 1e-6 && run > 40.0, "{run} and {row} dB");
+
+    // a changed display of a node gives other scores
+    let node = "[factorize]\niterations = 5\n\n[[nodes]]\nid = \"a\"\ndisplay = { file = \"d.toml\" }\n\n[sweep]\nframes = [3]\n";
+    write("nodes.toml", node);
+    let preset = std::fs::read_to_string(root().join("scenes/displays/fig7-uniform.toml")).unwrap();
+    let sweep = |frames: &str| {
+        std::fs::write(at("d.toml"), preset.replace("frames = 6", frames)).unwrap();
+        succeed(lumistack().arg("sweep").arg(at("nodes.toml")).arg("-o").arg(at("nodes")));
+        number(&rows(&at("nodes"))[0], "psnr_view_db")
+    };
+    let (one, three) = (sweep("frames = 1"), sweep("frames = 3"));
+    assert!(three > one + 1.0, "{one} and {three} dB");
+
+    write("warm.toml", "[factorize]\nwarm_start = \"run/layers\"\n\n[sweep]\nframes = [3]\n");
+    let text = fail(lumistack().arg("sweep").arg(at("warm.toml")).arg("-o").arg(at("warm")));
+    assert!(text.contains("factorize.warm_start: expected no warm start in a sweep"), "{text}");
+}
+
+/// The job file that a sweep writes gives the same sweep from another folder.
+#[test]
+fn the_job_file_of_a_sweep_can_be_run_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    std::fs::copy(root().join("scenes/displays/fig4-two-layer.toml"), at("d.toml")).unwrap();
+    let text = "[source]\nplugin = \"test_views\"\n\n[display]\npreset = \"fig7-uniform\"\nresolution = [16, 10]\nviews = [3, 3]\n\n[factorize]\niterations = 1\n\n[sweep]\ndisplays = [\"d.toml\", \"fig7-uniform\"]\nframes = [2]\n";
+    std::fs::write(at("s.toml"), text).unwrap();
+    succeed(lumistack().arg("sweep").arg(at("s.toml")).arg("-o").arg(at("first")));
+    succeed(lumistack().arg("sweep").arg(at("first").join("job.toml")).arg("-o").arg(at("again")));
+    assert_eq!(rows(&at("first")), rows(&at("again")));
 }

@@ -208,3 +208,33 @@ fn workers_of_other_code_and_other_folders_are_refused() {
     with_task(|task| farm_plan(&job, &dir, &registry, CUT, task)).unwrap();
     assert_eq!(unit(&dir, "source", &registry), Ok(false));
 }
+
+/// A changed scene makes another plan, and `--map` maps files in parameters of plugins.
+#[test]
+fn a_plan_depends_on_the_files_of_its_job() {
+    let (registry, folder) = (Registry::built_in().unwrap(), tempfile::tempdir().unwrap());
+    let [there, here] = ["there", "here"].map(|name| folder.path().join(name));
+    let calibration = json!({"pitch": {"value": 47.5}, "slope": {"value": -7.2}, "center": {"value": 0.5},
+        "DPI": {"value": 338.0}, "screenW": {"value": 1536.0}, "screenH": {"value": 2048.0}});
+    for place in [&there, &here] {
+        std::fs::create_dir(place).unwrap();
+        std::fs::write(place.join("visual.json"), calibration.to_string()).unwrap();
+    }
+    let output = "[[outputs]]\nplugin = \"quilt\"\nfrom = \"light_field\"\nparams = { calibration = \"visual.json\", columns = 3, rows = 1 }\n";
+    let display = format!("{DISPLAY}views = [3, 3]\n");
+    let job = job(&there, "", &[SOURCE, &display, output]);
+    let dir = folder.path().join("run");
+    let plan = || with_task(|task| farm_plan(&job, &dir, &registry, CUT, task)).unwrap().id;
+    let first = plan();
+    assert_eq!(plan(), first);
+    std::fs::write(there.join("visual.json"), format!("{calibration} ")).unwrap();
+    assert_ne!(plan(), first);
+    // on this machine, the files are elsewhere
+    std::fs::remove_dir_all(&there).unwrap();
+    let maps = [(there, here)];
+    let planned = FarmPlan::load(&dir).unwrap();
+    for unit in &planned.units {
+        let done = with_task(|task| farm_unit(&dir, &unit.id, &maps, Duration::ZERO, &registry, task));
+        assert!(done.is_ok(), "{}: {:?}", unit.id, done.map_err(|error| error.to_string()));
+    }
+}
