@@ -320,8 +320,8 @@ impl Brightness {
         };
         let (white, black) = match display.formation {
             Formation::Attenuating => (peaks.product(), blacks.product::<f64>() * lamp),
-            // In the other formations, layers do not multiply their light. One bright layer alone
-            // makes the display bright, so the layer with the highest black level decides.
+            // The other formations do not multiply transmittances. The highest black level of a
+            // layer serves as an estimate of the darkest state.
             _ => (1.0, blacks.fold(0.0, f64::max)),
         };
         Self { beta: display.brightness, white, black }

@@ -18,6 +18,7 @@
 //! and 0 for grey. Axes are measured separately, on a strip with one row of pixels and one row of
 //! views. The three channels have three phases φ_0, a third of a period apart, and the result is
 //! the mean over the channels.
+//!
 //! The bound of [`Display::spatial_cutoff`] limits the frequencies that any patterns could show.
 //! The contrast is the result of one solver with M frames.
 //!
@@ -30,7 +31,7 @@
 //! * *With more views*: over the same rays, for patterns that are solved for more views. There is
 //!   one view per [`angular_footprint`](Display::angular_footprint), which is as many as the bound
 //!   can use. This measures the hardware; *in between* measures the display with its own number of
-//!   views.
+//!   views. If the display itself has at least as many views, both measures are equal.
 //!
 //! The contrast *in between* obeys the bound, except in narrow zones. A zone is narrow if a grating
 //! moves by at most [`HALF_SINC`] periods over it. In such a zone, even a picture that is the same
@@ -59,7 +60,7 @@ pub const POINTS: usize = 3;
 pub const HALF_SINC: f64 = 0.603;
 /// Approximate number of slopes in the whole zone at which contrast between the views is measured.
 const SLOPES: usize = 40;
-/// Largest number of views of a strip.
+/// Largest number of views that a strip gets for the measure *with more views*.
 const MOST_VIEWS: usize = 48;
 
 /// The gratings to measure, and settings of the solver.

@@ -1,14 +1,14 @@
-//! Discrete distributions for importance sampling, by inversion of the cumulative sum so that
-//! stratified numbers stay stratified.
+//! Discrete distributions for importance sampling. Entries are chosen by inversion of the
+//! cumulative sum, so stratified numbers stay stratified.
 
 /// Probabilities over 0..n, proportional to weights.
 pub(crate) struct Distribution {
     /// Cumulative probability up to and including each entry; the last is 1.
     cumulative: Vec<f32>,
     probabilities: Vec<f32>,
-    /// Divides the interval [0, 1) into one equal part per entry. For each part, `guide` contains
-    /// the entry that the start of the part chooses. A search starts at this entry and takes
-    /// constant time on average (Chen, Asau 1974).
+    /// The interval [0, 1) has one equal part per entry. For each part, this list has the entry
+    /// that the start of the part chooses. A search starts at this entry and takes constant time
+    /// on average (Chen, Asau 1974).
     guide: Vec<u32>,
 }
 

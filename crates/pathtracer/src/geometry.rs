@@ -19,9 +19,8 @@ use lumistack_simd::prefetch;
 
 use crate::bvh::{Hit, NO_INSTANCE, Placement};
 
-/// Rays start at this distance from a surface, as a fraction of the largest coordinate of its
-/// triangle. The distance is about 16 times the rounding error of a point interpolated from three
-/// vertices.
+/// Rays start at this distance from a triangle, as a fraction of the triangle's largest coordinate.
+/// The distance is about 16 times the rounding error of a point interpolated from three vertices.
 const OFFSET_SHARE: f32 = 4e-6;
 /// Scenes of up to this number of triangles, with all instances included, share no meshes (see
 /// [`Sharing::Auto`]). The records of their triangles take at most 134 MB.
@@ -101,7 +100,7 @@ const FLAT: u32 = 4;
 const SAME_NORMAL: f32 = 1.0 - 1e-6;
 
 struct PlacedInstance {
-    /// Inverse transpose of the linear part, for normals of shared meshes.
+    /// Inverse transpose of `tangent_matrix`, for normals of shared meshes.
     normal_matrix: Mat3,
     tangent_matrix: Mat3,
     mirrored: bool,

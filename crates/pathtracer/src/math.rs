@@ -36,8 +36,8 @@ pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
 
 /// Maps the unit square to the unit disc, equal areas to equal areas (concentric map of Shirley,
 /// Chiu 1997). The square is first scaled to coordinates a and b, each −1..1. It has two halves,
-/// |a| > |b| and |a| ≤ |b|. One formula serves both halves, and x and y are exchanged at the end
-/// for one half. A branch would be slower, since no branch predictor can guess the half.
+/// |a| > |b| and |a| ≤ |b|. One formula serves both halves; in the second half, x and y are
+/// exchanged at the end. A branch would be slower, since no branch predictor can guess the half.
 #[inline]
 pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
@@ -93,8 +93,8 @@ mod tests {
                 // a square around the centre becomes a circle, whose radius is the larger of |a|
                 // and |b|
                 assert!((x.hypot(y) - a.abs().max(b.abs())).abs() < 1e-5, "{u:?}");
-                // Each eighth of the square becomes an eighth of the disc. In it, the angle is
-                // proportional to the ratio of the coordinates.
+                // Each eighth of the square becomes an eighth of the disc. In it, the angle to the
+                // nearest axis is proportional to the ratio of the coordinates.
                 let turn = |x: f32, y: f32| f64::from(y).atan2(f64::from(x));
                 let expected = if a.abs() > b.abs() {
                     std::f64::consts::FRAC_PI_4 * f64::from(b / a) + if a < 0.0 { std::f64::consts::PI } else { 0.0 }

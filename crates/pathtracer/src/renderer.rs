@@ -159,7 +159,7 @@ impl Renderer {
     }
 
     fn with_sharing(scene: Arc<Scene>, sharing: Sharing, task: Task<'_>) -> Result<Self, RenderError> {
-        // the references of the tree limit the scene's size
+        // references in the tree have few bits, which limits the scene's size
         let found = geometry::unique_triangles(&scene, sharing);
         if found > bvh::MAX_TRIANGLES {
             return Err(RenderError::TooManyTriangles { found });
@@ -252,9 +252,9 @@ impl Renderer {
         self.view_of::<false, 3>(window, geometry, view, settings, task, mean, rgb)
     }
 
-    /// Computes `K` values for every pixel of a view, `[row][col][k]`. `radiance` extracts the
-    /// radiance from the values of a pixel. If `FIRST` is true, the values also depend on the first
-    /// surfaces of the paths.
+    /// Computes `K` values for every pixel of a view by the function `values`: `[row][col][k]`.
+    /// `radiance` extracts the radiance from the values of a pixel. `values` receives data of the
+    /// paths' first surfaces only if `FIRST` is true.
     fn view_of<const FIRST: bool, const K: usize>(
         &self,
         window: &Window,
@@ -295,8 +295,8 @@ impl Renderer {
         Ok(filled)
     }
 
-    /// Returns `[row][col]`, with 1 for every pixel whose central ray hits a surface, and 0 for all
-    /// other pixels. Does not advance the progress.
+    /// Returns `[row][col]`, with 1 for every pixel whose central ray hits a surface that viewers
+    /// see, and 0 for all other pixels. Does not advance the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.
@@ -381,10 +381,10 @@ impl Renderer {
         }
     }
 
-    /// Renders pixels, each with the numbers [paths, rays] in `rays_of_pixel`. The first rays of a
-    /// pixel continue as paths. If `FIRST` is true, also adds up data of the first surfaces of the
-    /// rays. Calls `take` for every pixel, in the given order. Several pixels may only be given
-    /// together if all their rays fit into a beam.
+    /// Renders pixels, and calls `take` with the means of each pixel, in the given order. With
+    /// `rays_of_pixel` = [paths, rays], each pixel has `rays` rays, of which the first `paths`
+    /// continue as paths. If `FIRST` is true, also adds up data of the first surfaces of the rays.
+    /// Several pixels may only be given together if all their rays fit into a beam.
     fn pixels<const FIRST: bool>(
         &self,
         samples: &ViewSamples<'_>,
@@ -444,7 +444,7 @@ impl Renderer {
                 sums.light = light;
             }
         });
-        // return the means; normals are converted to display space once per pixel
+        // pass the means to `take`; normals are converted to display space once per pixel
         for sums in sums.drain(..) {
             let pixel = sums.light.mean(rays_of_pixel[0]);
             take(&pixel, &if FIRST { sums.first.turned(&samples.axes) } else { sums.first });
@@ -504,7 +504,7 @@ impl Renderer {
     }
 }
 
-/// Memory that a thread uses again for each group of pixels.
+/// Memory that a tile uses again for each group of its pixels.
 struct Buffers {
     stack: Stack,
     sums: Vec<PixelSums>,
@@ -541,7 +541,8 @@ impl LightSums {
         true
     }
 
-    /// Returns the mean over the finite ones of `paths` paths, and the variance of this mean.
+    /// Returns the mean over the paths with finite light, and the variance of this mean. `paths` is
+    /// the number of all paths.
     fn mean(&self, paths: u32) -> PixelMean {
         let finite = paths - self.not_finite;
         let count = f64::from(finite.max(1));

@@ -5,8 +5,8 @@
 //! uniform scrambling permutes the sequence's values and their order (Owen 1995; shuffling as in
 //! Burley 2020, "Practical Hash-based Owen Scrambling").
 //!
-//! Scrambling at every draw costs more than tracing, so a bank of [`PATTERNS`] scrambled sequences
-//! is made once. Each draw picks a pattern and flips bits of the sample's index and of the values,
+//! Scrambling at every draw costs more than tracing, so each view makes a bank of [`PATTERNS`]
+//! scrambled sequences once. Each draw picks a pattern and flips bits of the sample's index and of the values,
 //! by a hash of (pixel, pair). So a draw costs one hash and one load. Flipping keeps every
 //! sequence's stratification (Kollig, Keller 2002) and makes each point uniform. Hence the estimate
 //! is unbiased.
@@ -115,7 +115,8 @@ impl SampleBank {
 impl Draws<'_> {
     /// Returns the number of equal parts into which a pixel's samples stratify [0, 1), at most
     /// [`LONGEST`]. If a pixel has at most [`LONGEST`] samples, each part holds one or two of their
-    /// numbers, for both dimensions of every pair. If their number is a power of two, it holds one.
+    /// numbers, for both dimensions of every pair. If the number of samples is a power of two, each
+    /// part holds one.
     #[inline]
     pub(crate) fn parts(&self) -> u32 {
         self.bank.parts
@@ -329,7 +330,7 @@ mod tests {
         assert!(mean_square < random / 10.0, "{mean_square} against {random}");
     }
 
-    /// A sample has the same numbers for any samples, and any pixels, that are drawn together.
+    /// The numbers of a sample do not depend on the samples and pixels that are drawn with it.
     #[test]
     fn samples_are_the_same_in_any_company() {
         for samples in [1, 16, 48, LONGEST + 40] {

@@ -44,9 +44,9 @@ pub enum AngularFilter {
     /// between or outside the views of a grid.
     Width([f64; 2]),
     /// A thin lens focused on z = 0: a disc of slopes of this diameter, ≥ 0, centred on the view.
-    /// For an eye at distance D from the display plane, the lens is D times as wide. In parallel
-    /// projections a point at depth z blurs to a disc on z = 0, whose diameter is |z| times the
-    /// diameter of slopes.
+    /// For an eye at distance D from the display plane, the lens has D times this diameter. In
+    /// parallel projections a point at depth z blurs to a disc on z = 0, whose diameter is |z|
+    /// times the diameter of slopes.
     Lens(f64),
 }
 

@@ -115,7 +115,8 @@ impl Materials {
     }
 
     /// Returns the radiance that the surface emits towards a viewer. `front` is true if the viewer
-    /// is on the front side. `cosine` is the cosine between the direction and the normal.
+    /// is on the front side. `cosine` is the cosine between the viewer's ray and the normal, of
+    /// either sign.
     pub(crate) fn emission(
         &self,
         index: usize,

@@ -16,9 +16,9 @@
 //! fraction. The mean is right in both cases.
 //!
 //! The samples of a pixel are traced together: first one vertex of every path, then the next vertex
-//! of every path. If a pixel has few samples, the samples of neighbouring pixels are added. First
-//! rays are close together and traverse the tree as a beam. Random numbers of a vertex of a pixel
-//! share their hash. While one path waits for memory, the next is computed.
+//! of every path. Pixels with few samples are traced together with their neighbours. First rays are
+//! close together and traverse the tree as a beam. At a vertex, all samples of a pixel share the
+//! hash of each pair of random numbers. While one path waits for memory, the next is computed.
 //!
 //! Measured on FlightHelmet with 16 samples per pixel:
 //!
@@ -29,7 +29,7 @@
 //!   four jointly stratified points of lights at the first hit, instead of one. The squared error
 //!   fell by 7 %, but the time rose by 80 %.
 //! * Between rays, paths wait for chains of roots and quotients, and for results that are read in
-//!   larger pieces than they were written in. So directions around normals and primary rays are
+//!   larger pieces than they were written in. So primary rays and directions around normals are
 //!   computed for all paths together, as vectors. Hits are written where they are read, and a
 //!   light's density is kept as its inverse. Together this gave 9 % more samples.
 //! * With a separate loop over all paths for each step of a vertex (surface, light, scattered
@@ -135,7 +135,7 @@ struct Path {
     inside: Option<usize>,
     /// Wavelength of a path that has entered dispersing glass.
     wave_nm: Option<f32>,
-    /// Fraction of the light from the next direction that the first surface scatters by Lambert's
+    /// Fraction of the light of later vertices that the path's first surface scatters by Lambert's
     /// law. It is set only if the first surfaces are recorded.
     diffuse: Vec3,
 }
@@ -143,7 +143,7 @@ struct Path {
 /// The first surface of a path, and the light that it scatters alike to all viewers.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct First {
-    /// True if the path hits a surface.
+    /// True if the ray hits a surface.
     pub(crate) is_there: bool,
     /// Radiance that the ray itself sees: emission of the surface, or the background if there is no
     /// surface.
@@ -178,8 +178,8 @@ struct Shadows {
     rays: [Ray; BEAM],
     /// Index of the path, direction to the light, contribution.
     lights: [(usize, Vec3, Vec3); BEAM],
-    /// For a contribution at a first surface, the fraction that the surface scatters by Lambert's
-    /// law. It is set only if the first surfaces are recorded.
+    /// Fraction of each contribution that the path's first surface scatters by Lambert's law. It is
+    /// set only if the first surfaces are recorded.
     diffuse: [Vec3; BEAM],
 }
 
@@ -232,7 +232,7 @@ impl Tracer<'_> {
         };
         let mut paths = [start; BEAM];
         paths.iter_mut().zip(cones).for_each(|(path, cone)| path.cone = *cone);
-        // every vertex adds its shadow ray; the rays are traced after all paths have scattered
+        // every vertex adds a shadow ray; shadow rays are traced after all paths have scattered
         let mut shadows = Shadows {
             count: 0,
             rays: [rays[0]; BEAM],
@@ -291,7 +291,7 @@ impl Tracer<'_> {
                     None => going &= !(1 << index),
                 }
             }
-            // add the sampled lights that nothing blocks
+            // add the sampled lights, each times the fraction of its light that arrives
             for (place, (ray, (index, direction, light))) in
                 shadows.rays.iter().zip(&shadows.lights).take(shadows.count).enumerate()
             {
@@ -515,7 +515,7 @@ impl Tracer<'_> {
         Some(vertex.leave(scatter.direction))
     }
 
-    /// Returns true if a ray hits a surface.
+    /// Returns true if a ray hits a surface that viewers see.
     pub(crate) fn hits_surface(&self, ray: Ray, stack: &mut Stack) -> bool {
         self.first_surface(ray, stack).is_some()
     }
@@ -528,7 +528,7 @@ impl Tracer<'_> {
         hit.map(|hit| hit.t)
     }
 
-    /// Returns the guide of a path's first surface, for a path whose light is not computed.
+    /// Returns the guide of a first surface whose scattering function is not needed.
     fn guide(&self, vertex: &Vertex<'_>, to_viewer: Vec3) -> Guide {
         if self.traits[vertex.material] & LAMBERTIAN != 0 {
             return Guide::of_lambert(&self.lambert(vertex));
@@ -557,8 +557,7 @@ impl Tracer<'_> {
         Bsdf::new(appearance, to_viewer, &frame, *front)
     }
 
-    /// Returns the scattering function for a material that scatters by Lambert's law alone, instead
-    /// of [`bsdf`](Self::bsdf).
+    /// Replaces [`bsdf`](Self::bsdf) for a material that scatters by Lambert's law alone.
     #[inline]
     fn lambert(&self, vertex: &Vertex<'_>) -> Lambert {
         let Vertex { material, point, front, normal, width } = vertex;

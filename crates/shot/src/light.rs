@@ -27,8 +27,8 @@ const DARK: f64 = 0.02;
 /// Smallest fraction of the visible surfaces that the scene's own light must light, if only glowing
 /// objects give light.
 const LIT_BY_GLOW: f64 = 0.5;
-/// The same fraction if the scene has light sources. The scene's author may want a spot in a dark
-/// room.
+/// Smallest fraction of the visible surfaces that the scene's own light must light, if the scene
+/// has light sources. The scene's author may want a spot in a dark room.
 const LIT_BY_LAMPS: f64 = 0.05;
 /// Radiance of the background behind a scene in studio light: a dark neutral ground.
 const GROUND: f32 = 0.035;
@@ -184,8 +184,8 @@ pub fn lit(
     if has_environment {
         scene = surround::turned(scene, job, task)?;
     }
-    // Add studio light if the scene is unlit. Splats bring their own light, so a scene of splats
-    // alone gets none.
+    // Add studio light if the scene has no light, or if its light leaves too many surfaces dark.
+    // Splats bring their own light, so a scene of splats alone gets none.
     let automatic = job.automatic && !scene.instances.is_empty();
     let mut studio = automatic && !scene.is_lit();
     let mut scene = Arc::new(scene);

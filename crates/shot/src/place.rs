@@ -58,8 +58,8 @@ const LEFT_OUT: [f64; 19] =
 /// of a picture often covers about this fraction. Blur of such a background resembles the blur in a
 /// photograph.
 const MAY_LEAVE_OUT: f64 = 0.1;
-/// Factor by which the parallax of the rest must grow, so that fitting leaves out content that
-/// compression could include.
+/// The parallax of the remaining content must grow by this factor. Otherwise fitting leaves out no
+/// content that compression could include.
 const WORTH_LEAVING_OUT: f64 = 2.0;
 
 /// A window in the scene, and the depth scale with which the scene fits.
@@ -125,7 +125,7 @@ pub fn place<S: Subject>(
     }
     let unfitted =
         Placement { window, moved_back_mm: 0.0, depth_scale: job.depth_scale, fitted: false, looked_from_deg };
-    // Without a depth of field there is no range into which the scene could be fitted.
+    // Change nothing if the job allows no change, or if the display has no suitable depth of field.
     let Some(means) = Means::of(job, chosen) else { return Ok(unfitted) };
     let depth_of_field = display.depth_of_field(geometry.pitch_mm);
     let is_two_sided = |[low, high]: [f64; 2]| low < 0.0 && 0.0 < high;
@@ -227,8 +227,8 @@ struct Fitting<'a> {
 ///
 /// Compression brings the depths between two quantiles into the range. If that would leave less
 /// than [`LEAST_SCALE`] of the parallax, as little as possible of the farthest content is left out.
-/// Up to [`MAY_LEAVE_OUT`] is also left out if the rest gains enough parallax. If nothing suffices,
-/// or the range would contain no more of the scene than before, nothing changes.
+/// Up to [`MAY_LEAVE_OUT`] is also left out if the remaining content gains enough parallax. If
+/// nothing suffices, or the range would contain no more of the scene than before, nothing changes.
 fn best_fit(depths: &[f64], range: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
     let stay = Fit { moved_back_mm: 0.0, depth_scale: scale, left_out: ENDS[0], outside: 0.0, is_refused: false };
     if depths.is_empty() {
@@ -448,7 +448,7 @@ mod tests {
         }
     }
 
-    /// A tail of the depths is left out if the rest then has at least twice the parallax.
+    /// A tail of the depths is left out if all other depths then have at least twice the parallax.
     #[test]
     fn a_thin_tail_is_left_out_for_parallax() {
         let with_tail = |tail: usize, far: f64| {
@@ -465,8 +465,8 @@ mod tests {
         }
     }
 
-    /// All but a twentieth of the picture is a kilometre away, and the rest is in the window. No
-    /// scale shows both, and none shows more than the rest.
+    /// A twentieth of the picture is in the window, and all else is a kilometre away. No scale
+    /// shows both, and no scale shows more than that twentieth.
     #[test]
     fn a_useless_compression_is_refused() {
         let mut depths = vec![-1e6; 950];

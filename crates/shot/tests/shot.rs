@@ -31,7 +31,7 @@ fn the_example_makes_patterns_of_a_model_without_light() {
     assert!(folder.path().join("layer_2_frame_1.png").is_file());
 }
 
-/// The example for Rust developers is the example that this test compiles.
+/// The page for Rust developers shows the example that this program compiles.
 #[test]
 fn the_page_shows_the_example_as_it_is() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");

@@ -1,8 +1,8 @@
-//! Conversion of half floats without instructions for it.
+//! Converts half floats without special instructions.
 
-/// Converts a finite half float to `f32`, without branches. The bits are shifted into place. The
-/// product with 2^112 then corrects the difference of the exponents' biases, for subnormal numbers
-/// too.
+/// Converts a finite half float to `f32`, without branches. Exponent and mantissa are shifted to
+/// their places in an `f32`. The product with 2^112 then corrects the difference of the exponents'
+/// biases, for subnormal numbers too.
 #[inline(always)]
 pub fn float_from_half(half: u16) -> f32 {
     let bits = u32::from(half);

@@ -11,7 +11,8 @@ pub trait Lanes: Copy {
     type Mask: Copy;
     /// Number of values; divides [`MAX_LANES`](crate::MAX_LANES).
     const COUNT: usize;
-    /// Number of vectors that registers hold; 0 where the compiler chooses the width of a vector.
+    /// Number of vectors that fit into the machine's registers; 0 where the compiler chooses the
+    /// width of a vector.
     const REGISTERS: usize;
 
     /// Returns `value` in all lanes.

@@ -1,11 +1,11 @@
-//! Four lanes of 128-bit vectors of WebAssembly; the fixed-width set has no fused multiply-add.
+//! Four lanes of 128-bit vectors of WebAssembly. Its fixed-width set has no fused multiply-add.
 
 use std::arch::wasm32::*;
 
 use crate::half::float_from_half;
 use crate::lanes::{Kernel, Lanes};
 
-/// Four lanes of 128-bit vectors of WebAssembly; the fixed-width set has no fused multiply-add.
+/// Four lanes of 128-bit vectors of WebAssembly. Its fixed-width set has no fused multiply-add.
 #[derive(Clone, Copy, Debug)]
 pub struct Simd128(v128);
 

@@ -95,7 +95,7 @@ impl Case {
         own_materials: bool,
         task: Task<'_>,
     ) -> Outcome<Self> {
-        // choose the height of the window from the bounds, which do not depend on lights
+        // choose the height of the window from the bounds of the scene
         let unread = Collector::default();
         let bounds = parts.clone().validate(Task { warnings: &unread, ..task })?.bounds();
         let mut parts = if own_materials { unlit(parts) } else { diffuse(unlit(parts)) };

@@ -23,10 +23,10 @@ const OF_WHITE: u32 = 16;
 const CLAMP: f32 = 8.0;
 /// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
-/// Numbers of samples per pixel of filtered views.
+/// Numbers of samples per pixel of views with shared light, and of filtered views.
 const FILTERED: [u32; 3] = [4, 16, 64];
 /// Numbers of samples per pixel of views rendered one by one. Views with the last number are the
-/// reference, which takes longer to render than any filtered views.
+/// reference, which takes longer to render than the views of any other way.
 const ALONE: [u32; 4] = [4, 16, 64, 256];
 
 /// A way to render the views of a light field.
@@ -249,7 +249,7 @@ fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
         for (number, way) in ways.iter_mut().enumerate() {
             let seed = count * round as u64 + number as u64;
             let (samples, clamp) = (way.samples, Some(CLAMP * bench.white));
-            // the peers have neither this limit nor roulette
+            // the peers, which need perspective views, have neither a clamp nor roulette
             let settings = match bench.geometry.grid.projection {
                 Projection::Oblique => Settings { samples, max_bounces: BOUNCES, seed, clamp, ..Settings::default() },
                 Projection::Perspective { .. } => {

@@ -149,7 +149,7 @@ fn pair(word: &str) -> Outcome<[usize; 2]> {
 /// One of the renderers that render the view: Lumistack, or a peer with one of its samplers.
 struct Entry {
     name: String,
-    /// Index of the peer among the arguments, and its sampler; `None` for Lumistack.
+    /// Index of the peer among the started peers, and its sampler; `None` for Lumistack.
     peer: Option<(usize, String)>,
     reference: Vec<f32>,
     /// Per number of samples: (seconds, mean squared error) of every round.

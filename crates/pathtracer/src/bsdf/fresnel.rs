@@ -101,9 +101,9 @@ impl Film {
         let base_root = base_f0.clamp(Vec3::ZERO, Vec3::splat(MOST_F0)).map(f32::sqrt);
         let base_ior = (Vec3::ONE + base_root) / (Vec3::ONE - base_root);
         let r23 = (base_ior / ior).map(|ratio| schlick(normal_reflectance(ratio), cos_film));
-        // This code shifts the phase by π at an interface whose far medium is less dense. In
-        // nature, a denser far medium shifts it. The two rules differ by π at each of the two
-        // interfaces, so by 2π in total, which has no effect.
+        // As seen from inside the film, this code shifts the phase by π at an interface whose far
+        // medium is less dense. In nature, a denser far medium shifts it. The two rules differ by π
+        // at each of the two interfaces, so by 2π in total, which has no effect.
         let phase = base_ior.map(|base| PI + if base < ior { PI } else { 0.0 });
         let round_trip = (r12 * r23).clamp(Vec3::splat(1e-5), Vec3::splat(0.9999));
         let decay = round_trip.map(f32::sqrt);

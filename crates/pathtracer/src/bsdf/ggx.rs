@@ -20,8 +20,8 @@ use glam::{Vec2, Vec3};
 
 use crate::math::sin_cos_turns;
 
-/// Returns the density D(h) of microfacet normals per solid angle. The components of `h` avoid the
-/// cancellation in 1 − cos².
+/// Returns the density D(h) of microfacet normals per solid angle. It is computed from the
+/// components of `h`, since 1 − cos² would lose digits.
 #[inline]
 pub(crate) fn density(h: Vec3, alpha: Vec2) -> f32 {
     let (x, y) = (h.x / alpha.x, h.y / alpha.y);

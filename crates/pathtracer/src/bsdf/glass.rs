@@ -10,11 +10,11 @@
 //! ```
 //!
 //! The path carries basic radiance: radiance divided by the squared index of the medium. Basic
-//! radiance does not change when light enters or leaves a solid, so transmission needs no factor
-//! η². Single scattering loses the fraction 1 − E(o, α, η) of the light. So both terms are divided
-//! by the tabulated albedo E, as in Turquin 2019, which makes clear glass lossless. Stretched glass
-//! has another albedo, and so has glass whose reflection a film or `KHR_materials_specular`
-//! changes. These two kinds of glass are not compensated.
+//! radiance does not change when light enters or leaves a solid, so the term of transmission needs
+//! no further factor η². Single scattering loses the fraction 1 − E(o, α, η) of the light. So both
+//! terms are divided by the tabulated albedo E, as in Turquin 2019, which makes clear glass
+//! lossless. Stretched glass has another albedo, and so has glass whose reflection a film or
+//! `KHR_materials_specular` changes. These two kinds of glass are not compensated.
 
 use std::sync::LazyLock;
 

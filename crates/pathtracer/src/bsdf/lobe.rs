@@ -23,7 +23,7 @@ pub(crate) trait Lobe {
     const OWN_FRAME: bool = false;
     /// True if the lobe can be evaluated for light from behind the surface.
     const TRANSMITS: bool = false;
-    /// True if light from behind crosses into a solid.
+    /// True if light that crosses the surface enters or leaves a solid.
     const REFRACTS: bool = false;
 
     /// Returns the approximate fraction of the light that the lobe scatters. Lobes are chosen in

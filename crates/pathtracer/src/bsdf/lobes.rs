@@ -113,7 +113,7 @@ macro_rules! lobes {
                 [rough, std::array::from_fn(|lobe| rough[lobe] && transmits[lobe])]
             }
 
-            /// Returns true if light from behind crosses into a solid.
+            /// Returns true if light that crosses the surface enters or leaves a solid.
             #[inline]
             pub(crate) fn refracts(&self) -> bool {
                 false $(|| $Base::REFRACTS && self.$base.is_some())* $(|| $Layer::REFRACTS && self.$layer.is_some())*

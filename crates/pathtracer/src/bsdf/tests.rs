@@ -17,7 +17,7 @@ use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts, z_lim
 /// Largest deviation from 1 of the fraction of light that white metals and dielectrics return. The
 /// albedo table is interpolated, so the fraction is not exactly 1.
 const ENERGY_TOLERANCE: f64 = 4e-3;
-/// The tolerance for clear rough glass, whose table is coarser.
+/// Like [`ENERGY_TOLERANCE`], for clear rough glass, whose table is coarser.
 const GLASS_TOLERANCE: f64 = 1e-2;
 /// A white surface may return up to this fraction more light than it receives, since tables and the
 /// albedos of stretched lobes are approximate.
@@ -231,8 +231,8 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
 }
 
 /// Returns frames whose direction of stretch is off the axes. The first has one normal. The second
-/// has a tilted shading normal and a coat that leans the opposite way. The third has a normal map
-/// so steep that the specular normal is bent.
+/// has a tilted shading normal and a coat that leans the opposite way. The third is the second with
+/// the diffuse normals of a steep normal map.
 fn frames() -> [Frame; 3] {
     let tangent = Some(Vec3::new(0.8, 0.6, 0.0));
     let straight = Frame { tangent, ..Frame::flat(Vec3::Z, Vec3::Z) };
@@ -299,7 +299,7 @@ fn no_surface_gains_energy() {
     }
 }
 
-/// Surfaces on which nothing is absorbed return everything, up to the interpolation of the tables.
+/// Surfaces on which nothing is absorbed return all light, up to the interpolation of the tables.
 #[test]
 fn lossless_layers_return_all_light() {
     let tolerances = [
@@ -515,8 +515,6 @@ fn diffuse_light_is_that_of_lambert_surfaces() {
         let direction = Vec3::from_array([(); 3].map(|()| 2.0 * stream.next_f32() - 1.0)).normalize_or(Vec3::Z);
         let ((value, pdf), (expected, expected_pdf)) = (general.evaluate(direction), lambert.evaluate(direction));
         assert!((value - expected).abs().max_element() < 1e-5, "{direction}: {value} {expected}");
-        // The diffuse special case returns the density 0 for a direction below the surface. No
-        // caller requests that density.
         assert!((pdf - expected_pdf).abs() < 1e-5, "{direction}: {pdf} {expected_pdf}");
         lit += usize::from(value != Vec3::ZERO);
     }

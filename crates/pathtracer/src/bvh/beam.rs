@@ -10,8 +10,8 @@
 //! o₁ + t d₁ ≥ b₀   and   o₀ + t d₀ ≤ b₁
 //! ```
 //!
-//! and each of the two inequalities bounds t from below or from above, by the sign of d. So a node
-//! costs the beam as much as it costs a single ray.
+//! Each of the two inequalities bounds t from below or from above, by the sign of its d₁ or d₀. So
+//! a node costs the beam as much as it costs a single ray.
 //!
 //! A block's eight triangles are tested against the beam as boxes too. The triangles that the beam
 //! may hit, mostly one or two, are tested against all rays together, one ray per lane. Single rays

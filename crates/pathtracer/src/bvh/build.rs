@@ -102,7 +102,7 @@ impl Bvh {
         Aabb::new(bounds.min - margin, bounds.max + margin)
     }
 
-    /// Adds a tree over a range of triangles and, after them, boxes of instances.
+    /// Adds a tree over a range of triangles and over boxes of instances.
     fn add_tree(&mut self, input: &Input<'_>, range: Range<usize>, instances: &[Aabb]) -> Tree {
         let triangles = &input.triangles[range.clone()];
         let flags = &input.flags[range.clone()];

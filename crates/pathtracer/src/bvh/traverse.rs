@@ -33,8 +33,8 @@
 //! * The triangle test prepared at a ray's first block: primary rays 5 % slower.
 //! * Each shadow ray first tested against the block that stopped the previous shadow ray: 2 %
 //!   slower, since most shadow rays reach the light.
-//! * No prefetch: 10 to 20 % slower on 15 copies. Prefetch of the postponed children alone: 0 to 10
-//!   % slower there.
+//! * On 15 copies, no prefetch: 10 to 20 % slower. On 15 copies, prefetch of the postponed children
+//!   alone: 0 to 10 % slower.
 //! * Large pages instead of small ones: no difference on the helmet.
 //! * Boxes of large triangles cut further, by area or by priority (Karras, Aila 2013): up to 10 %
 //!   more nodes per ray.
@@ -92,8 +92,8 @@ struct Slabs<V> {
     far: [usize; 3],
 }
 
-/// A ray prepared for the triangle test. Its fields are scalars, not vectors: a block loads them
-/// when it needs them, and rays that reach no block pay little.
+/// A ray prepared for the triangle test. Its fields are scalars, which the test of a block converts
+/// to vectors. So rays that reach no block pay little.
 #[derive(Clone, Copy)]
 pub(super) struct Shear {
     /// Rows of the axes in a block; the last is the axis of the direction's largest component.

@@ -214,8 +214,8 @@ impl Scratch {
                     sum_g[x] += w * g[x];
                     sum_b[x] += w * b[x];
                 }
-                // the same weights also average the half that they come from: the answer for the
-                // estimate of errors
+                // the same weights also average the half that they come from; this answer serves
+                // to estimate errors
                 let [own_r, own_g, own_b] = [0, 1, 2].map(|c| values(half, c));
                 let weights = &mut own_weights.weights[half][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut own_weights.values[half];

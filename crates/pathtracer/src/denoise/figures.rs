@@ -27,7 +27,7 @@ pub struct ViewFigures {
     /// Mean of the unbiased picture.
     pub mean: f64,
     /// Mean of the filtered picture minus mean of the unbiased picture. The values of the estimate
-    /// are the means of blocks of pixels.
+    /// are the mean differences in blocks of pixels.
     pub change: Estimate,
     /// Mean squared error of the unbiased picture.
     pub mse_before: Estimate,

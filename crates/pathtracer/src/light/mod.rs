@@ -1,7 +1,7 @@
 //! All light sources: triangles, the environment, punctual lights. A sample first chooses either
-//! the local lights together, or one of the lights from infinity. The chances follow the lights'
-//! power. A tree then chooses one of the local lights, by a bound of the light that each may send
-//! to the receiver ([`tree`]).
+//! the local lights together, or one of the lights from infinity. The chances mostly follow the
+//! lights' power. A tree then chooses one of the local lights, by a bound of the light that each
+//! may send to the receiver ([`tree`]).
 
 mod environment;
 mod punctual;
@@ -112,8 +112,8 @@ impl Lights {
                 Some(_) => {}
             }
         }
-        // The chances follow power. One chance is for all local lights together, one for each
-        // directional or distant light, and one for the environment.
+        // Compute the chances from the powers. One chance is for all local lights together, one for
+        // each directional or distant light, and one for the environment.
         let tree = LightTree::new(&emitters);
         let environment = EnvironmentLight::new(scene);
         let environment_power =
@@ -251,7 +251,8 @@ impl TriangleLight {
         // angle to the light's normal, and d the distance. The divisions are independent, so they
         // run in parallel.
         let inverse_pdf = self.area * cosine.abs() * (inverse_distance * inverse_distance) * chance.recip();
-        // no light is received at distance 0, from the side, or where the numbers overflow
+        // no light arrives at distance 0, edge-on, from a side that does not shine, or where the
+        // numbers overflow
         let is_seen = inverse_pdf > 0.0 && inverse_pdf.is_finite() && (cosine > 0.0 || self.double_sided);
         if !is_seen {
             return None;
@@ -395,8 +396,8 @@ fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     kinds.iter().zip(sums).flat_map(|(powers, sum)| powers.iter().map(move |&power| weight(power, sum))).collect()
 }
 
-/// Returns the number of parts in an interval of length `chance`, rounded; [0, 1) has `parts` of
-/// them.
+/// Returns the rounded number of parts in an interval of length `chance`, if [0, 1) is divided into
+/// `parts` equal parts.
 #[inline]
 fn parts_of(chance: f32, parts: Parts) -> Parts {
     (chance * parts as f32 + 0.5) as Parts
@@ -503,7 +504,7 @@ mod tests {
                 let (distance, cosine) = (to_light.length(), -to_light.normalize().dot(normal));
                 let per_area = lights.triangle_pdf(triangle as u32, receiver, distance, cosine, parts) * cosine.abs()
                     / (distance * distance);
-                // a sample on a side that does not shine returns no light
+                // seen from a side that does not shine, a light returns no samples
                 let shines = cosine > 0.0 || geometry.material(triangle as u32).double_sided;
                 for i in 0..PARTS {
                     for j in 0..PARTS {

@@ -1,5 +1,5 @@
-//! Lights without a surface (`KHR_lights_punctual`): irradiance is intensity over squared distance,
-//! and spots have the extension's smooth cone.
+//! Lights without a surface (`KHR_lights_punctual`). The irradiance of a point light or spotlight
+//! is intensity over squared distance. Spotlights have the extension's smooth cone.
 //!
 //! Distant lights are discs of the sky. A cone of half angle θ with the irradiance E has the
 //! radiance E / (π sin²θ). A direction drawn uniformly from the cone's solid angle 2π (1 − cos θ)

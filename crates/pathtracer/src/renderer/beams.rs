@@ -18,7 +18,7 @@ const SLOPE_PAIR: u64 = 1;
 /// Samples of a view.
 pub(super) struct ViewSamples<'a> {
     rays: PrimaryRays<'a>,
-    /// Display space, in which surfaces are reported.
+    /// Converts data of surfaces to display space.
     pub(super) axes: DisplayAxes,
     bank: SampleBank,
     paths: u32,
@@ -26,8 +26,8 @@ pub(super) struct ViewSamples<'a> {
 }
 
 impl<'a> ViewSamples<'a> {
-    /// Prepares the samples of the view [view_y, view_x]. A pixel may have up to `rays_per_pixel`
-    /// rays, or the number of samples of the settings if that is more.
+    /// Prepares the samples of the view [view_y, view_x]. The largest number of rays of a pixel is
+    /// the greater of `rays_per_pixel` and the samples of the settings.
     pub(super) fn new(
         rays: PrimaryRays<'a>,
         axes: DisplayAxes,
@@ -46,7 +46,7 @@ impl<'a> ViewSamples<'a> {
     }
 
     /// Calls `take` with the rays of the given pixels, at most [`BEAM`] per call, and with the
-    /// random numbers of these rays. Each pixel has the number of samples of the settings. Several
+    /// random numbers of these rays. The settings state the number of rays of a pixel. Several
     /// pixels, which should be neighbours, may only be given together if all their rays fit into
     /// one call.
     #[inline]
@@ -55,8 +55,8 @@ impl<'a> ViewSamples<'a> {
     }
 
     /// Does the same as [`for_each_beam`](Self::for_each_beam), for the given numbers [paths, rays]
-    /// of a pixel. The first rays of the pixel continue as paths. `seed` returns the seed of a
-    /// pixel.
+    /// of a pixel. The first `paths` rays of a pixel continue as paths. `seed` returns the seed of
+    /// a pixel.
     #[inline]
     pub(super) fn for_each_beam_of(
         &self,

@@ -20,9 +20,9 @@ use crate::settings::Settings;
 
 /// Edge of the squares of pixels; a square has at most one check.
 const SPACING: usize = 8;
-/// Stream of random numbers that chooses the pixels. No view uses it.
+/// Stream of the random numbers by which the pixels are chosen. No view uses this stream.
 const PLACES: u64 = 0xc4ec_0001;
-/// Stream of random numbers that renders the pixels. No view uses it.
+/// Stream of the random numbers with which the pixels are rendered. No view uses this stream.
 const RADIANCE: u64 = 0xc4ec_0002;
 
 /// Pixels of a view with two renders each.

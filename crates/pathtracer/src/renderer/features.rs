@@ -2,8 +2,7 @@
 //! layers.
 //!
 //! Most values are means over the paths of a pixel that hit a surface; [`Feature`] describes the
-//! others. These paths also give the pixel's light.
-//! [`Renderer::render_view_and_features`] records the surfaces while it renders.
+//! other values. [`Renderer::render_view_and_features`] records the surfaces while it renders.
 //! [`Renderer::render_features`] traces the same rays only to their first hits.
 
 use glam::Vec3;

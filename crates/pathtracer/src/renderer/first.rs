@@ -1,4 +1,4 @@
-//! Means over the first surfaces of a pixel's paths.
+//! Means over the first surfaces of a pixel's rays.
 
 use glam::{DVec3, Quat, Vec3};
 use lumistack_scene::Window;
@@ -42,7 +42,7 @@ impl DisplayAxes {
     }
 }
 
-/// Sums over the first surfaces of a pixel's paths. Normals are in render space until
+/// Sums over the first surfaces of a pixel's rays. Normals are in render space until
 /// [`turned`](Self::turned) converts them to display space.
 #[derive(Default)]
 pub(super) struct FirstSums {
@@ -57,21 +57,21 @@ pub(super) struct FirstSums {
     shading: Vec3,
     gloss: f32,
     alpha: f32,
-    /// For the path nearest to the pixel's centre: the squared distance from the centre, and the
+    /// For the ray nearest to the pixel's centre: the squared distance from the centre, and the
     /// depth of its hit, `None` for a miss.
     nearest: Option<(f32, Option<f32>)>,
     /// Light that is scattered alike to all viewers, over the samples that are finite.
     diffuse: Vec3,
     /// Light that the first surfaces emit, or that rays past all surfaces see.
     seen: Vec3,
-    /// The part of `seen` that comes from the rays that continue as paths.
+    /// The sum `seen` over the rays that continue as paths.
     path_seen: Vec3,
-    /// The part of `reflectance` that comes from the rays that continue as paths.
+    /// The sum `reflectance` over the rays that continue as paths.
     path_reflectance: Vec3,
 }
 
 impl FirstSums {
-    /// Adds the first surface of a path. `place` is the path's position, in pixels from the pixel's
+    /// Adds the first surface of a ray. `place` is the ray's position, in pixels from the pixel's
     /// centre.
     #[inline]
     pub(super) fn add(&mut self, first: &First, place: [f32; 2], axes: &DisplayAxes) {
@@ -92,7 +92,7 @@ impl FirstSums {
         self.alpha += first.guide.alpha;
     }
 
-    /// Adds the first surface of a ray that continues as a path.
+    /// Adds a ray that continues as a path also to the second sums, which are over paths alone.
     #[inline]
     pub(super) fn add_path(&mut self, first: &First) {
         self.path_seen += first.seen;

@@ -59,11 +59,11 @@ const MOST: f32 = 8.0;
 /// Smallest standard deviation of a texture's light, as a fraction of the view's mean light, for
 /// which a pixel gets further rays.
 const TEXTURE: f32 = 0.2;
-/// Number of further rays of a pixel of a texture, as a multiple of the samples of a pixel.
+/// Number of further rays of a pixel inside of a texture, as a multiple of the samples of a pixel.
 const TEXTURE_RAYS: u32 = 3;
-/// Greatest number of samples by which the variance of neighbouring pixels is multiplied, as an
-/// estimate of the variance of a path. Above this number, contrast is the greater part of the
-/// pixels' variance, and contrast does not fall with more samples.
+/// The variance of a path is estimated as the variance of neighbouring pixels times the number of
+/// samples, or times this number if it is smaller. With more samples, most of the pixels' variance
+/// is contrast of the picture, which does not fall.
 const NOISY_SAMPLES: f32 = 4.0;
 
 /// Indices of the values by which the pixels around a pixel are compared.

@@ -99,7 +99,7 @@ impl SplitView {
         radiance
     }
 
-    /// Yields one value per pixel, row by row: true if one of the pixel's samples hits a surface.
+    /// Yields one value per pixel, row by row: true if any of the pixel's samples hits a surface.
     pub fn surfaces(&self) -> impl Iterator<Item = bool> {
         self.pixels().map(|values| values[9..12].iter().any(|normal| *normal != 0.0))
     }

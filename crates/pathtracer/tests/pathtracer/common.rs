@@ -93,7 +93,7 @@ pub fn cube(centre: Vec3, half: f32) -> Vec<Mesh> {
         .collect()
 }
 
-/// Returns a finely divided sphere with smooth normals.
+/// Returns a sphere with smooth normals. From pole to pole it has `divisions` rows of triangles.
 pub fn sphere(centre: Vec3, radius: f32, divisions: usize) -> Mesh {
     let (rows, cols) = (divisions, 2 * divisions);
     let mut mesh = Mesh::default();

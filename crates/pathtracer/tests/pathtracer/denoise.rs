@@ -114,7 +114,7 @@ fn the_report_is_true_and_means_and_edges_stay() {
 }
 
 /// Diffuse and other light of a view add up to the view itself. Diffuse surfaces have only diffuse
-/// light, mirrors have only other light.
+/// light, metals have only other light.
 #[test]
 fn parts_add_up_to_the_view() {
     let (collector, cancel) = (Collector::default(), Cancel::default());

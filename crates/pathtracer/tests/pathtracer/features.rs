@@ -77,8 +77,8 @@ fn a_pixel_at_an_edge_tells_its_share() {
     }
 }
 
-/// Returns a scene with surfaces of every kind: mirrors, plastic, Lambert's law, unlit,
-/// transparent, glowing.
+/// Returns a scene with surfaces of every kind: metal, plastic, diffuse, unlit, transparent,
+/// glowing.
 fn mixture() -> Builder {
     let mut builder = Builder::default();
     let metal = Material { base_color: Vec4::new(0.9, 0.6, 0.3, 1.0), metallic: 1.0, roughness: 0.2, ..diffuse(0.5) };

@@ -306,8 +306,8 @@ fn hundreds_of_lights_add_up() {
 /// On a sphere of few triangles, the edge between light and dark is the edge of the smooth sphere.
 /// It does not follow the triangles. A point P of a triangle has the interpolated normal P/|P|. Its
 /// radiance is L = ρ E max(P·d, 0) / (π |P|), with the albedo ρ, the irradiance E and the direction
-/// d to the light. The centre of the sphere is the origin, so |P| is between the distance of the
-/// largest triangle's middle and the radius.
+/// d to the light. The sphere's centre is the origin. So |P| is at most the radius, and at least
+/// the distance from the origin to the middle of the largest triangle.
 #[test]
 fn hard_light_ends_where_the_smooth_surface_turns_away() {
     let (radius, divisions, irradiance) = (0.9f64, 12usize, 2.0f64);

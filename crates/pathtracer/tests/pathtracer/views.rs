@@ -8,7 +8,8 @@ use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_pathtracer::{AngularFilter, RenderError, Renderer, Settings};
 use lumistack_scene::{AlphaMode, Filter, Image, Material, Pixels, Texture, TextureUse, Window, Wrap};
 
-/// Settings with enough samples that every pixel in a card's interior hits it.
+/// Settings with few samples. They suffice, since all samples of a pixel inside a card hit this
+/// card.
 const SAMPLES: Settings = Settings {
     hide_environment: false,
     samples: 4,

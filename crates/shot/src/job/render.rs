@@ -70,9 +70,9 @@ pub enum ZoneSamples {
 }
 
 impl ZoneSamples {
-    /// Number of paths if the number is not measured. It is not measured for a fixed number of
-    /// views, for filters that compare two halves of the paths, for views that Blender renders, and
-    /// for estimates.
+    /// Number of paths if the number is not measured. For example, it is not measured for a fixed
+    /// number of views, for filters that compare two halves of the paths, for views that Blender
+    /// may render, and for estimates.
     const UNMEASURED: u32 = 800;
     /// Largest allowed number of paths.
     const MOST: u32 = 1 << 24;

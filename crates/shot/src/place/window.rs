@@ -65,9 +65,9 @@ pub struct Found {
 /// Without a camera the scene is framed from the direction `look_from` of the job, or else from the
 /// side that `side::choose` finds. The frame then shrinks to the visible scene.
 ///
-/// If the job requests no camera and the file's camera has no focus, the camera's window shrinks
-/// about its centre. It shrinks at most until the scene covers about a quarter of the window, and
-/// never cuts off the scene.
+/// The window of a camera shrinks about its centre if the job does not request the camera, and
+/// neither job nor file states a focus distance. It shrinks at most until the scene covers about a
+/// quarter of the window, and never cuts off the scene.
 ///
 /// # Errors
 /// When the job names a camera that does not exist, or gives numbers that make no rectangle. Also
@@ -136,7 +136,8 @@ fn unlimited_window<S: Subject>(
         let window = close_up(subject, window, geometry, true, task)?;
         Ok(Found { window, chosen: false, looked_from_deg: Some(from_deg) })
     };
-    // A camera's own plane of focus stays. A window of a camera without focus may shrink.
+    // Keep a window at a stated focus distance, and the window of a camera that the job requests.
+    // Any other window of a camera may shrink.
     let Some(camera) = camera else { return framed() };
     let stated = job.focus_distance.or(camera.focus_distance);
     let focus_distance = match stated {
