@@ -214,7 +214,7 @@ fn workers_of_other_code_and_other_folders_are_refused() {
 fn a_plan_depends_on_the_files_of_its_job() {
     let (registry, folder) = (Registry::built_in().unwrap(), tempfile::tempdir().unwrap());
     let [there, here] = ["there", "here"].map(|name| folder.path().join(name));
-    let calibration = json!({"pitch": {"value": 47.5}, "slope": {"value": -7.2}, "center": {"value": 0.5},
+    let calibration = serde_json::json!({"pitch": {"value": 47.5}, "slope": {"value": -7.2}, "center": {"value": 0.5},
         "DPI": {"value": 338.0}, "screenW": {"value": 1536.0}, "screenH": {"value": 2048.0}});
     for place in [&there, &here] {
         std::fs::create_dir(place).unwrap();

@@ -9,7 +9,7 @@ use lumistack_display::{Display, LightField, RayMap, Simulator, Tiling};
 use lumistack_field_io::{read_field_folder, read_stack};
 use lumistack_pipeline::{BlockSize, Job, Registry, farm_plan, farm_unit, run};
 
-use crate::compose::{results, with_task};
+use crate::compose::{json, results, with_task};
 
 /// Maximum loss of PSNR near seams (borders between tiles) against a solve without tiles, dB.
 const SEAM_DB: f64 = 0.1;
@@ -120,4 +120,41 @@ impl Progress for StopsAt<'_> {
     }
 
     fn end(&self) {}
+}
+
+/// A black light field has exact patterns, whose PSNR is infinite. The patterns of layers with few
+/// bits are reused, are joined from tiles, and leave no results of tiles behind.
+#[test]
+fn exact_patterns_with_few_bits_are_kept() {
+    let (registry, folder) = (Registry::built_in().unwrap(), tempfile::tempdir().unwrap());
+    let at = |name: &str| folder.path().join(name);
+    let preset = std::fs::read_to_string(
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/displays/fig4-two-layer.toml"),
+    );
+    let display = preset.unwrap().replace("transfer = \"srgb\"", "transfer = \"srgb\"\nbits = 6");
+    std::fs::write(at("d.toml"), display).unwrap();
+    let values = [3usize, 3, 16, 24, 3];
+    let header = format!("{:<117}\n", format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {values:?}, }}"));
+    let header = header.replace('[', "(").replace(']', ")");
+    let black = [&b"\x93NUMPY\x01\x00v\x00"[..], header.as_bytes(), &vec![0; 4 * values.iter().product::<usize>()]];
+    std::fs::write(at("black.npy"), black.concat()).unwrap();
+    let job = |name: &str, factorize: &str| {
+        let text = format!(
+            "light_field = \"black.npy\"\n[display]\nfile = \"d.toml\"\nframes = 2\n[geometry]\nfov_deg = [20, 20]\n\
+             [factorize]\niterations = 4\n{factorize}\n[[nodes]]\nid = \"a\"\n"
+        );
+        std::fs::write(at(name), text).unwrap();
+        Job::load(&at(name)).unwrap()
+    };
+    for (name, factorize) in [("whole.toml", ""), ("tiles.toml", "tiles = [2, 1]")] {
+        let (job, dir) = (job(name, factorize), at(name).with_extension("run"));
+        with_task(|task| run(&job, &dir, &registry, None, task)).unwrap();
+        with_task(|task| run(&job, &dir, &registry, None, task)).unwrap();
+        let report = json(&dir.join("nodes/a/report.json"));
+        assert_eq!(report["solution"]["levels"]["rounded"], "Infinity", "{}", report["solution"]);
+        let stages = report["stages"].as_array().unwrap();
+        let factorize = stages.iter().find(|stage| stage["name"] == "factorize").unwrap();
+        assert_eq!(factorize["cached"], true, "{name}");
+        assert!(!dir.join("nodes/a/cache/tiles").exists());
+    }
 }
