@@ -73,7 +73,7 @@ export class Loader {
       await content.open(engine, this.stage);
       // Wait for the poster and the small views, so that they load before the large patterns.
       await early;
-      if (signal.aborted) return;
+      if (signal.aborted) return stop();
       events.opened(content, engine);
       const failed: Problem[] = [];
       const sink = {

@@ -55,8 +55,8 @@ pub(crate) struct New {
     pub(crate) outputs: Option<Vec<String>>,
     /// Number of panel pixels per mask pixel on each axis. The light field has the masks'
     /// resolution [default: 2]
-    #[arg(long, value_name = "N")]
-    pub(crate) panel_pixels: Option<usize>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
+    pub(crate) panel_pixels: Option<u8>,
     /// Number of views of the light field, horizontal and vertical [default: 5x5]
     #[arg(long, value_name = "HxV")]
     pub(crate) views: Option<Size>,
@@ -252,7 +252,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     let scale = ask.value(
         "--panel-pixels",
         "Panel pixels per mask pixel on each axis (1 gives the sharpest picture; with 2, patterns are computed four times as fast)",
-        args.panel_pixels,
+        args.panel_pixels.map(usize::from),
         Some(("2".into(), 2)),
         |text| text.parse().ok().filter(|count| (1..=64).contains(count)),
     )?;

@@ -406,6 +406,9 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     if args.camera.is_some() {
         job.window.camera = args.camera.clone();
         job.window.look_from = None;
+        if matches!(job.window.from, WindowFrom::Given | WindowFrom::Bounds) {
+            job.window.from = WindowFrom::Auto;
+        }
     }
     if let Some(look_from) = args.look_from {
         job.window.look_from = Some(look_from.0);

@@ -466,6 +466,7 @@ fn kind_of(file: &Path) -> &'static str {
         "json" => "application/json",
         "wasm" => "application/wasm",
         "png" => "image/png",
+        "jpg" | "jpeg" => "image/jpeg",
         "svg" => "image/svg+xml",
         _ => "application/octet-stream",
     }

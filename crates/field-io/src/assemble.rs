@@ -82,7 +82,7 @@ pub(crate) fn plan(
     };
     let window = Window::new(source, flags, &picks, focus_px)?;
     let pixels = Pixels { size: window.out_size, window_cols: window.size[0], focus_px };
-    let geometry = geometry::resolve(&path, flags, defaults, &source.hints, &picks, &pixels, task)?;
+    let geometry = geometry::resolve(&path, flags, defaults, &source.hints, source.views, &picks, &pixels, task)?;
     Ok(Plan { picks, window, geometry })
 }
 

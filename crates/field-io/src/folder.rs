@@ -137,10 +137,15 @@ fn write_view_as(
     precision: Precision,
 ) -> Result<(), FieldError> {
     let path = folder.join(view_file_name(geometry.grid.views(), view));
-    if let Some(index) = rgb.iter().position(|value| !value.is_finite()) {
+    // A larger value would become infinite as a half float, and such a file cannot be read.
+    let (most, expected) = match precision {
+        Precision::Half => (LARGEST, "a number of at most 65504, the largest half float"),
+        Precision::Float => (f32::MAX, "a finite number"),
+    };
+    if let Some(index) = rgb.iter().position(|value| value.is_nan() || value.abs() > most) {
         let (row, col) = (index / 3 / geometry.cols, index / 3 % geometry.cols);
         let place = format!("[row, col, rgb] = [{row}, {col}, {}]", index % 3);
-        return Err(FieldError::malformed(path, place, "a finite number", rgb[index].to_string()));
+        return Err(FieldError::malformed(path, place, expected, rgb[index].to_string()));
     }
     write_exr(&path, [geometry.cols, geometry.rows], rgb, precision)
 }

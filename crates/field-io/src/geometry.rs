@@ -162,20 +162,21 @@ pub(crate) fn pick(available: usize, count: usize) -> Vec<usize> {
     (0..count).map(|index| first + index * stride).collect()
 }
 
-/// Resolves the geometry of a light field. The kept view rows are `picks[0]`, the kept view columns
-/// `picks[1]`.
+/// Resolves the geometry of a light field. The file has `views` = [rows, columns] of views, of which
+/// the rows `picks[0]` and the columns `picks[1]` are kept.
 pub(crate) fn resolve(
     path: &Path,
     flags: &GeometryFlags,
     defaults: &GeometryDefaults,
     hints: &Hints,
+    views: [usize; 2],
     picks: &[Vec<usize>; 2],
     pixels: &Pixels,
     task: Task<'_>,
 ) -> Result<FieldGeometry, FieldError> {
     let pitch_mm = pitch(path, flags, defaults, hints, pixels, task)?;
     let own_slopes = physical_slopes(hints, picks, pixels);
-    let (slopes, physical) = slopes(path, flags, defaults, hints, picks, own_slopes, task)?;
+    let (slopes, physical) = slopes(path, flags, defaults, hints, views, picks, own_slopes, task)?;
     // Select the projection: by the flag, then by the file. If neither defines a projection, it is
     // perspective if a flag states the viewing distance or the slopes come from the cameras.
     // Otherwise it is oblique.
@@ -268,11 +269,18 @@ fn slopes(
     flags: &GeometryFlags,
     defaults: &GeometryDefaults,
     hints: &Hints,
+    views: [usize; 2],
     picks: &[Vec<usize>; 2],
     own_slopes: Option<[Vec<f64>; 2]>,
     task: Task<'_>,
 ) -> Result<([Vec<f64>; 2], bool), FieldError> {
     let counts = [picks[1].len(), picks[0].len()];
+    // Angles in a flag are of the kept views, angles in a file are of all views of the file.
+    let all = views.map(|count| (0..count).collect::<Vec<_>>());
+    let spread_all = |fov_deg: [f64; 2]| -> Result<[Vec<f64>; 2], FieldError> {
+        let slopes = spread(path, fov_deg, hints, &all)?;
+        Ok([0, 1].map(|axis| picks[1 - axis].iter().map(|&view| slopes[axis][view]).collect()))
+    };
     let spread = |fov_deg: [f64; 2]| spread(path, fov_deg, hints, picks);
     // Angles in the flags override all other angles. Warn if they differ from the files' angles.
     if let Some(fov_deg) = flags.fov_deg {
@@ -282,7 +290,7 @@ fn slopes(
             Some(picks[1 - axis].iter().map(|&view| all[view]).collect::<Vec<f64>>())
         };
         let own = of_file(0).zip(of_file(1)).map(|(x, y)| [x, y]);
-        let own = own.or_else(|| hints.fov_deg.and_then(|fov_deg| spread(fov_deg).ok())).or(own_slopes);
+        let own = own.or_else(|| hints.fov_deg.and_then(|fov_deg| spread_all(fov_deg).ok())).or(own_slopes);
         if let Some(own) = own {
             let pairs = || own.iter().flatten().zip(slopes.iter().flatten());
             if pairs().any(|(own, given)| differ(*own, *given)) {
@@ -311,7 +319,7 @@ fn slopes(
         [given_x.clone().unwrap_or(x), given_y.clone().unwrap_or(y)]
     };
     if let Some(fov_deg) = hints.fov_deg {
-        return Ok((filled(spread(fov_deg)?), false));
+        return Ok((filled(spread_all(fov_deg)?), false));
     }
     if counts == [1, 1] {
         return Ok((filled([vec![0.0], vec![0.0]]), false));

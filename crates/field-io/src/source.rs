@@ -69,11 +69,13 @@ impl Source {
         }
         let inner = std::mem::replace(&mut self.reader, Box::new(NoViews));
         self.reader = Box::new(Mirrored { inner, views: self.views, mirror });
-        if let Some(cameras) = &mut self.hints.cameras {
-            for (positions, _) in cameras.positions.iter_mut().zip(mirror).filter(|(_, mirror)| *mirror) {
-                positions.reverse();
-                positions.iter_mut().for_each(|position| *position = -*position);
-            }
+        // The stated positions and slopes of the views follow their order.
+        let positions = self.hints.cameras.iter_mut().flat_map(|cameras| cameras.positions.iter_mut().zip(mirror));
+        let slopes = self.hints.slopes.iter_mut().zip(mirror);
+        let stated = slopes.filter_map(|(slopes, mirror)| Some((slopes.as_mut()?, mirror))).chain(positions);
+        for (values, _) in stated.filter(|(_, mirror)| *mirror) {
+            values.reverse();
+            values.iter_mut().for_each(|value| *value = -*value);
         }
     }
 }

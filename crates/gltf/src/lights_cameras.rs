@@ -63,7 +63,11 @@ fn light_kind(document: &Document<'_>, source: &Source, place: &str) -> Result<L
         Checked::Valid(Type::Spot) => {
             let place = format!("{place}/spot");
             let Some(spot) = &source.spot else { return Err(Fault::new(place, "cone angles", "nothing")) };
-            let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);
+            // An angle that was rounded, such as 1.5708 for π/2, is corrected.
+            let within =
+                |angle: f32, most: f32| if angle <= most * (1.0 + ANGLE_ROUNDING) { angle.min(most) } else { angle };
+            let outer = within(spot.outer_cone_angle, FRAC_PI_2);
+            let inner = within(spot.inner_cone_angle, outer);
             if !(outer > 0.0 && outer <= FRAC_PI_2 && inner >= 0.0 && inner <= outer) {
                 let expected = "0 ≤ innerConeAngle ≤ outerConeAngle and 0 < outerConeAngle ≤ π/2";
                 return Err(Fault::new(place, expected, format!("innerConeAngle {inner} and outerConeAngle {outer}")));
@@ -77,6 +81,9 @@ fn light_kind(document: &Document<'_>, source: &Source, place: &str) -> Result<L
         }
     }
 }
+
+/// Largest relative error of a rounded cone angle.
+const ANGLE_ROUNDING: f32 = 1e-4;
 
 /// Returns the cameras of the scene's nodes, in the file's order of cameras.
 pub(crate) fn cameras(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Camera>, Fault> {

@@ -184,6 +184,9 @@ fn placements(
     Ok(placements.into_iter().map(Option::unwrap_or_default).collect())
 }
 
+/// Largest accepted difference of a matrix's last row from 0 0 0 1.
+const LAST_ROW_ROUNDING: f64 = 1e-5;
+
 fn parent_from_node(
     document: &Document<'_>,
     node: &json::Node,
@@ -193,7 +196,8 @@ fn parent_from_node(
     let at_rest = match node.matrix {
         Some(matrix) => {
             let matrix = DMat4::from_cols_array(&matrix.map(f64::from));
-            if matrix.row(3) != glam::DVec4::W {
+            // A product of matrices in f32 has rounding errors.
+            if !matrix.row(3).abs_diff_eq(glam::DVec4::W, LAST_ROW_ROUNDING) {
                 let place = format!("{place}/matrix");
                 return Err(Fault::new(place, "a last row of 0 0 0 1", matrix.row(3)));
             }

@@ -366,6 +366,11 @@ pub(crate) fn write(
         }
         (stack.display.clone(), Some(stack.stack.clone()), target.map(|target| target.field.clone()))
     } else if let Ok(field) = what.cast::<LightField>() {
+        if target.is_some() {
+            let text =
+                "write: expected no `target`, since a light field is written without another one, found a target";
+            return Err(setting(py, text));
+        }
         let field = field.get();
         is_default = display.is_none() && field.display.is_none();
         let display = match (display, &field.display) {

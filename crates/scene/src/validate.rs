@@ -7,7 +7,9 @@ use std::ops::Deref;
 use glam::{Affine3A, Mat3A, Vec2, Vec3, Vec3A};
 use lumistack_core::Task;
 
-use crate::{AlphaMode, Bounds, Instance, Lamp, LightKind, Material, Mesh, Pixels, SceneError, SceneParts, TextureUse};
+use crate::{
+    AlphaMode, Bounds, Camera, Instance, Lamp, LightKind, Material, Mesh, Pixels, SceneError, SceneParts, TextureUse,
+};
 
 /// Largest number of splats of a scene, copies included. A small file can reach any number by
 /// placing a cloud often.
@@ -141,7 +143,7 @@ impl SceneParts {
             }
         }
         self.check_instances(task)?;
-        self.check_lights_and_cameras()?;
+        self.check_lights_and_cameras(task)?;
         // find the bounds of all instances and clouds, and of those that the viewer sees
         let (mut bounds, mut seen_bounds) = (Bounds::EMPTY, Bounds::EMPTY);
         for instance in &self.instances {
@@ -348,7 +350,7 @@ impl SceneParts {
         Ok(())
     }
 
-    fn check_lights_and_cameras(&mut self) -> Result<(), SceneError> {
+    fn check_lights_and_cameras(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         for (i, light) in self.lights.iter_mut().enumerate() {
             let place = format!("light {i}");
             if !(light.position.is_finite() && light.intensity.is_finite() && light.intensity.min_element() >= 0.0) {
@@ -368,14 +370,25 @@ impl SceneParts {
                 .try_normalize()
                 .ok_or_else(|| SceneError::new(place, "a direction of nonzero length", light.direction.to_string()))?;
         }
+        // A scale of 0 is a common way to hide a camera.
+        let is_placed = |camera: &Camera| {
+            let axes = camera.scene_from_camera.matrix3;
+            let has_axes =
+                axes.y_axis.cross(axes.z_axis).try_normalize().is_some() && axes.z_axis.try_normalize().is_some();
+            if !has_axes || !camera.scene_from_camera.is_finite() {
+                let message = "the camera is left out, since its placement has no three independent axes";
+                task.warn(format!("camera {}", camera.name), message);
+                return false;
+            }
+            true
+        };
+        self.cameras.retain(is_placed);
         for camera in &mut self.cameras {
             let place = format!("camera {}", camera.name);
             let axes = camera.scene_from_camera.matrix3;
             let z = axes.z_axis.try_normalize();
             let x = axes.y_axis.cross(axes.z_axis).try_normalize();
-            let (Some(x), Some(z), true) = (x, z, camera.scene_from_camera.is_finite()) else {
-                return Err(SceneError::new(place, "a placement with three independent axes", axes.to_string()));
-            };
+            let (Some(x), Some(z)) = (x, z) else { continue };
             // remove scale and shear from the camera's placement
             camera.scene_from_camera = Affine3A {
                 matrix3: Mat3A::from_cols(x, Vec3A::cross(z, x), z),

@@ -132,7 +132,9 @@ impl Settings {
     /// is a light field, and `None` if it is a scene.
     pub fn job(&self, path: &str, resolution: Option<[usize; 2]>) -> String {
         let input = if resolution.is_some() { "light_field" } else { "scene" };
-        let mut text = format!("{input} = {path:?}\n\n[display]\nfile = \"display.toml\"\n");
+        // A JSON string is a TOML string, too; Rust's own form of escapes is not.
+        let path = serde_json::Value::from(path);
+        let mut text = format!("{input} = {path}\n\n[display]\nfile = \"display.toml\"\n");
         match resolution {
             Some(resolution) => text += &format!("\n[geometry]\nresolution = {resolution:?}\n"),
             None => text += &format!("\n[render]\nzone_samples = {}\n", self.zone_samples),

@@ -82,7 +82,7 @@ impl NodePlugin for ParallaxBarrier {
         let [rear, front] = [&map.layers[0], &map.layers[1]];
         let [[rear_dark, rear_bright], [shut, open]] = [display.layers[0].range(), display.layers[1].range()];
         let mut stack = LayerStack::filled(display, rear_dark);
-        stack.brightness = f64::from(open) / positions as f64;
+        stack.brightness = f64::from(open) * f64::from(rear_bright) / positions as f64;
         stack.layers[1].data_mut().fill(shut);
 
         let shape = [display.frames, rear.rows, rear.cols, 3];
@@ -119,7 +119,8 @@ impl NodePlugin for ParallaxBarrier {
         // through an open mask pixel.
         for (pixel, &rays) in rays.iter().enumerate().filter(|(_, rays)| **rays > 0) {
             for channel in 3 * pixel..3 * pixel + 3 {
-                stack.layers[0].data_mut()[channel] = (sums[channel] / rays as f32).clamp(rear_dark, rear_bright);
+                let mean = rear_bright * sums[channel] / rays as f32;
+                stack.layers[0].data_mut()[channel] = mean.clamp(rear_dark, rear_bright);
             }
         }
         // The front layer opens the mask pixels of each frame.

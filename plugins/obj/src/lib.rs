@@ -3,7 +3,7 @@
 //!
 //! | OBJ, MTL | glTF |
 //! |---|---|
-//! | `v`, `vn`, `vt` | positions, normals, texture coordinates (v points downwards in glTF; missing coordinates are 0) |
+//! | `v`, `vn`, `vt` | positions, normals, texture coordinates (v points downwards in glTF). If only some faces of an object have normals or coordinates, they are left out with a warning |
 //! | `f` | triangles; polygons become fans of triangles |
 //! | `o`, `g`, `usemtl` | one mesh per object or group and material |
 //! | `Kd`, `map_Kd`, `d` | base colour (linear), its texture with scale `-s`, offset `-o` and `-clamp`, alpha |
@@ -29,7 +29,7 @@ use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Assets, Host, ImporterPlugin, Param, PluginError, Schema, export_plugin};
 use tobj::{LoadOptions, Material};
 
-use crate::mtl::MtlMaterial;
+use crate::mtl::{Map, MtlMaterial};
 use crate::paths::forward;
 use crate::up::Up;
 
@@ -96,6 +96,7 @@ impl ImporterPlugin for Obj {
         if models.is_empty() {
             return Err(PluginError::Failed(format!("{file}: expected faces, found none")));
         }
+        warn_of_missing(host, &models);
         glb::document(&models, &all, params.up, params.scale)
     }
 }
@@ -106,7 +107,11 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<M
     let read = |name: &str| {
         let bytes = assets.read(name)?;
         let mut warn = |line: usize, message: String| host.warn(&format!("{name}: line {line}: {message}"));
-        Ok::<_, PluginError>(mtl::parse(&text::decode(&bytes), &mut warn))
+        let mut found = mtl::parse(&text::decode(&bytes), &mut warn);
+        for material in &mut found {
+            material.diffuse_map = material.diffuse_map.take().and_then(|map| found_map(host, assets, name, map));
+        }
+        Ok::<_, PluginError>(found)
     };
     let warn = |error: PluginError| host.warn(&format!("{file}: materials are missing: {error}"));
     let error = match read(names) {
@@ -125,6 +130,38 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<M
         })
     });
     each.flatten().collect()
+}
+
+/// Finds the picture of a map: relative to the folder of the MTL file `mtl`, or else to the folder of
+/// the OBJ file. Returns the map with the picture's path relative to the OBJ file. A missing picture
+/// causes a warning, and the material has no map.
+fn found_map(host: &Host, assets: &Assets<'_>, mtl: &str, map: Map) -> Option<Map> {
+    let own = forward(Path::new(&map.file));
+    let beside = mtl.rsplit_once('/').map(|(folder, _)| format!("{folder}/{own}"));
+    let mut error = None;
+    for file in beside.into_iter().chain([own]) {
+        match assets.read(&file) {
+            Ok(_) => return Some(Map { file, ..map }),
+            Err(found) => error = Some(found),
+        }
+    }
+    let reason = error.map_or(String::new(), |error| format!(": {error}"));
+    host.warn(&format!("{mtl}: the picture {} is left out{reason}", map.file));
+    None
+}
+
+/// Warns if only some faces of a mesh have normals or texture coordinates, which the mesh then lacks.
+fn warn_of_missing(host: &Host, models: &[tobj::Model]) {
+    for tobj::Model { mesh, name } in models {
+        let vertices = mesh.positions.len() / 3;
+        for (what, count) in [("normals", mesh.normals.len() / 3), ("texture coordinates", mesh.texcoords.len() / 2)] {
+            if count != 0 && count != vertices {
+                host.warn(&format!(
+                    "object {name}: only some faces have {what}, so the {what} of the object are left out"
+                ));
+            }
+        }
+    }
 }
 
 export_plugin!("obj", Obj as importer);

@@ -32,6 +32,10 @@ pub(crate) fn joined(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> 
     let mut lines = text.lines().enumerate();
     std::iter::from_fn(move || {
         let (number, line) = lines.next()?;
+        // A comment may end with a path of Windows, which continues no line.
+        if line.trim_start().starts_with('#') {
+            return Some((number + 1, Cow::Borrowed(line)));
+        }
         let mut line = Cow::Borrowed(line);
         while let Some(before) = line.trim_end().strip_suffix('\\') {
             let Some((_, next)) = lines.next() else { break };

@@ -148,3 +148,22 @@ fn legal_files_of_other_programs_load() {
     let at = texture.texture_from_mesh.transform_point2(mesh.uvs[texture.uv_set][corner]);
     assert!((at.x - 1.25).abs() < 1e-6 && (at.y - 0.5).abs() < 1e-6, "{at}");
 }
+
+/// The picture of an MTL file is searched in the folder of this file, then in the folder of the OBJ
+/// file. A missing picture, and a comment that ends with a backslash, do not refuse the scene.
+#[test]
+fn pictures_are_found_beside_their_material_file() {
+    let obj = "# exported from C:\\scenes\\\nmtllib mat/m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\nusemtl b\nf 1/1 2/2 3/3\nusemtl c\nf 1/1 2/2 3/3\nf 1 2 3\n";
+    let mtl = "newmtl a\nmap_Kd tex/a.png\nnewmtl b\nmap_Kd b.png\nnewmtl c\nmap_Kd C:\\Users\\me\\wood.png\n";
+    let files = BTreeMap::from([("a.obj", obj), ("mat/m.mtl", mtl), ("mat/tex/a.png", ""), ("b.png", "")]);
+    let host = MemoryHost::new();
+    let bytes = document(&Files(files), &json!({}), &host).unwrap();
+    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+    let root: Value = lumistack_plugin::serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+    let images: Vec<_> = root["images"].as_array().unwrap().iter().map(|image| &image["uri"]).collect();
+    assert_eq!(images, ["mat/tex/a.png", "b.png"]);
+    let texts: Vec<String> = host.messages().into_iter().map(|(_, text)| text).collect();
+    let all = texts.join("\n");
+    assert!(all.contains("the picture C:\\Users\\me\\wood.png is left out"), "{all}");
+    assert!(all.contains("only some faces have texture coordinates"), "{all}");
+}

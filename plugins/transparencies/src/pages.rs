@@ -29,12 +29,13 @@ pub(crate) fn spacers_mm(layers: &[Layer], film_mm: f64, index: f64) -> Result<V
         .windows(2)
         .map(|pair| {
             let gap = pair[1].d_mm - pair[0].d_mm;
-            if gap < film_mm {
+            // A gap of 0.3 − 0.2 mm is less than 0.1 mm by rounding.
+            if gap < film_mm - 1e-9 {
                 return Err(PluginError::Refused(format!(
                     "parameter `film_mm`: expected at most {gap}, the distance between two layers in mm, found {film_mm}"
                 )));
             }
-            Ok((gap - film_mm) * index)
+            Ok((gap - film_mm).max(0.0) * index)
         })
         .collect()
 }
