@@ -139,7 +139,7 @@ fn write_view_as(
     let path = folder.join(view_file_name(geometry.grid.views(), view));
     // A larger value would become infinite as a half float, and such a file cannot be read.
     let (most, expected) = match precision {
-        Precision::Half => (LARGEST, "a number of at most 65504, the largest half float"),
+        Precision::Half => (LARGEST, "a finite number of at most 65504, the largest half float"),
         Precision::Float => (f32::MAX, "a finite number"),
     };
     if let Some(index) = rgb.iter().position(|value| value.is_nan() || value.abs() > most) {

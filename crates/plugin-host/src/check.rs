@@ -85,7 +85,7 @@ mod tests {
         let error = check("quilt", json!({"view_row": 99}), &display).unwrap_err();
         assert!(error.contains("`view_row`"), "{error}");
         let error = check("quilt", json!({"columns": 4}), &display).unwrap_err();
-        assert!(error.contains("both or neither"), "{error}");
+        assert!(error.contains("two numbers above 0, or 0 for both"), "{error}");
         // The views of a quilt can be simulated from a layer stack. A light field has only its own
         // views, so it lacks some of the quilt's views.
         let views = json!({"columns": 7, "rows": 1, "missing_views": "refuse"});

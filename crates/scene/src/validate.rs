@@ -608,6 +608,23 @@ mod tests {
     }
 
     #[test]
+    fn a_camera_of_scale_0_is_left_out() {
+        let mut parts = triangle();
+        let named = |name: &str, scale: f32| Camera {
+            name: name.into(),
+            scene_from_camera: Affine3A::from_scale(Vec3::splat(scale)),
+            projection: crate::Projection::Perspective { vertical_fov_rad: 0.5, aspect: None },
+            focus_distance: None,
+            near: None,
+        };
+        parts.cameras = vec![named("hidden", 0.0), named("seen", 2.0)];
+        let (scene, warnings) = validate(parts);
+        let names: Vec<_> = scene.unwrap().cameras.iter().map(|camera| camera.name.clone()).collect();
+        assert_eq!(names, ["seen"]);
+        assert!(warnings.len() == 1 && warnings[0].to_string().contains("camera hidden"), "{warnings:?}");
+    }
+
+    #[test]
     fn a_glowing_label_is_no_lamp() {
         let mut parts = triangle();
         parts.materials[0].emission = Vec3::ONE;

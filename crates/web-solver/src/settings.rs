@@ -198,4 +198,13 @@ mod tests {
         let remedy = "LUMISTACK_WRITE=1 cargo test -p lumistack-web-solver presets writes presets.json";
         assert_eq!(presets().unwrap(), expected, "{remedy}");
     }
+
+    /// Names of files may have accents as characters of their own, as on macOS.
+    #[test]
+    fn a_job_names_any_file() {
+        let name = "Cafe\u{301} \"1\" \\ ก็.glb";
+        let text = Settings::default().job(name, None);
+        let job: serde_json::Value = lumistack_core::config::parse(&text).unwrap();
+        assert_eq!(job["scene"].as_str(), Some(name));
+    }
 }

@@ -103,9 +103,14 @@ fn a_field_that_cannot_be_written_leaves_no_index() {
     *field.radiance_mut().at_mut([0, 1, 2, 3, 1]) = f32::NAN;
     let error = write_field(folder.path(), &field, &Map::new()).unwrap_err().to_string();
     assert!(
-        error.ends_with("view_00_01.exr: [row, col, rgb] = [2, 3, 1]: expected a finite number, found NaN"),
+        error.contains("view_00_01.exr: [row, col, rgb] = [2, 3, 1]: expected a finite number")
+            && error.ends_with("NaN"),
         "{error}"
     );
+    // a number that is infinite as a half float could not be read again
+    *field.radiance_mut().at_mut([0, 1, 2, 3, 1]) = 70000.0;
+    let error = write_field(folder.path(), &field, &Map::new()).unwrap_err().to_string();
+    assert!(error.contains("at most 65504") && error.ends_with("found 70000"), "{error}");
     assert!(matches!(read_field_folder(folder.path()), Err(FieldError::Io { .. })));
     let file = folder.path().join("view_00_00.exr");
     let error = write_field(&file, &field, &Map::new()).unwrap_err().to_string();
@@ -375,4 +380,27 @@ fn a_cancelled_read_stops() {
     let task = lumistack_core::Task::quiet(&warnings, &cancel);
     let result = lumistack_field_io::open(folder.path(), &GeometryFlags::default(), &defaults(), task);
     assert!(matches!(result, Err(FieldError::Cancelled(_))));
+}
+
+/// The angles of a file are of all its views, also if only some views are kept. Views that are
+/// mirrored take their slopes along.
+#[test]
+fn kept_and_mirrored_views_have_their_own_slopes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.npy");
+    let array = |json: &str| {
+        npy::write(&path, &[1, 9, 2, 2, 3], &[0.5; 108]).unwrap();
+        std::fs::write(path.with_extension("json"), json).unwrap();
+    };
+    let slopes = |flags: &GeometryFlags| {
+        let flags = GeometryFlags { pitch_mm: Some(0.5), ..flags.clone() };
+        open(&path, &flags, &defaults()).0.unwrap().geometry().grid.slope_x.clone()
+    };
+    array("{\"fov_deg\": [40, 40]}");
+    let all = slopes(&GeometryFlags::default());
+    let some = slopes(&GeometryFlags { views: Some([3, 1]), ..GeometryFlags::default() });
+    assert_eq!(some, [all[0], all[4], all[8]]);
+    array("{\"slope_x\": [-0.4, -0.3, -0.2, -0.1, 0, 0.2, 0.3, 0.4, 0.6], \"slope_y\": [0]}");
+    let mirrored = slopes(&GeometryFlags { mirror: [true, false], ..GeometryFlags::default() });
+    assert_eq!(mirrored, [-0.6, -0.4, -0.3, -0.2, 0.0, 0.1, 0.2, 0.3, 0.4]);
 }

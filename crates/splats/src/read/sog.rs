@@ -42,9 +42,20 @@ struct Part {
     mins: Numbers,
     #[serde(default)]
     maxs: Numbers,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "codebook")]
     codebook: Vec<f32>,
     files: Vec<String>,
+}
+
+/// Reads a codebook. Some files have null as its first number. The number then continues the other
+/// numbers c by a mean step, c₁ + (c₁ − c₂₅₅) / 255, as in the engine PlayCanvas.
+fn codebook<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<f32>, D::Error> {
+    let mut book = Vec::<Option<f32>>::deserialize(deserializer)?;
+    if let [first @ None, Some(next), .., Some(last)] = book.as_mut_slice() {
+        *first = Some(*next + (*next - *last) / 255.0);
+    }
+    let number = |value: Option<f32>| value.ok_or_else(|| serde::de::Error::custom("expected a number, found null"));
+    book.into_iter().map(number).collect()
 }
 
 /// Bounds: one number for all channels, or one number per channel.
