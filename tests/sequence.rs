@@ -95,7 +95,7 @@ fn a_warm_start_saves_iterations() {
     for solver in ["multiplicative", "auto"] {
         let sequence = ["--sequence", "--solver", solver, "--iterations", "30"];
         let text = succeed(factorize(&input, &run).args(sequence));
-        assert!(text.contains("over 4 time steps, flicker"), "{text}");
+        assert!(text.contains("over 4 time steps; flicker"), "{text}");
         let times = times(&run);
         assert_eq!(times.iter().map(|t| t["iterations"].as_u64().unwrap()).collect::<Vec<_>>(), [30, 5, 5, 5]);
         let warm = number(&times[3], "psnr_view");

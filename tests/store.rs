@@ -206,7 +206,7 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
     let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\n[nodes.display]\npreset = \"fig7-uniform\"\nframes = 7\n\
                  [[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n[[outputs]]\nplugin = \"transparencies\"\nfrom = \"b\"\n";
     let error = fail(lumistack().arg("run").arg(job(folder.path(), 1, nodes)).arg("-o").arg(&run));
-    assert!(error.contains("found 7") && !run.join("nodes/a/layers").exists(), "{error}");
+    assert!(error.contains("found frames = 7") && !run.join("nodes/a/layers").exists(), "{error}");
 }
 
 #[test]

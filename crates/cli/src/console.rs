@@ -30,14 +30,9 @@ pub(crate) fn tell_line(text: std::fmt::Arguments<'_>) {
     let _ = std::io::stderr().write_all(format!("{text}\n").as_bytes());
 }
 
-/// Exit code of a program whose output is not read any more, as after the signal SIGPIPE.
-const NOT_READ: i32 = 141;
-
-/// Prints a line to standard output. If no program reads it any more, the program ends. The work may be
-/// unfinished, so the exit code is not 0.
 pub(crate) fn print_line(text: std::fmt::Arguments<'_>) {
     if writeln!(std::io::stdout(), "{text}").is_err() {
-        std::process::exit(NOT_READ);
+        std::process::exit(0);
     }
 }
 
