@@ -7,21 +7,11 @@ use lumistack_core::Task;
 use lumistack_live::{Eyes, head_of_packet};
 use serde_json::{Map, Value, json};
 
-use super::requests::Requests;
+use super::requests::{Changes, Requests};
 use crate::console::{say, tell};
 
 /// Largest length of a line, bytes.
 const LINE: usize = 1 << 20;
-
-/// A command that a line contains.
-#[derive(Clone, Debug, PartialEq)]
-enum Command {
-    Set(Vec<(String, Value)>),
-    Viewers(Vec<[f64; 3]>),
-    Reload,
-    Stop,
-    StopAtEnd,
-}
 
 /// Executes commands until standard input ends or the display stops. Wrong commands are reported
 /// and change nothing.
@@ -61,47 +51,39 @@ pub(super) fn follow_lines(mut lines: impl BufRead, requests: &Requests, refuse:
 }
 
 fn carry_out(line: &str, requests: &Requests) -> Result<(), String> {
-    // Parse the whole line first, so that a line which cannot be parsed changes nothing.
-    for command in commands_of(line)? {
-        match command {
-            Command::Set(keys) => requests.set(&keys).map_err(|error| error.to_string())?,
-            Command::Viewers(heads_mm) => requests.see(&heads_mm, Eyes::Two).map_err(|error| error.to_string())?,
-            Command::Reload => requests.reload(),
-            Command::Stop => requests.stop(),
-            Command::StopAtEnd => requests.stop_at_end(),
-        }
-    }
-    Ok(())
+    requests.make(&changes_of(line)?)
 }
 
-fn commands_of(line: &str) -> Result<Vec<Command>, String> {
+/// Reads all entries of a line.
+fn changes_of(line: &str) -> Result<Changes, String> {
     const EXPECTED: &str = "an object with `set`, `time`, `viewers`, `reload`, `stop` or `stop_at_end`";
     let all: Map<String, Value> = serde_json::from_str(line)
         .map_err(|error| format!("expected {EXPECTED} on one line, found a line that is no JSON object: {error}"))?;
     if all.is_empty() {
         return Err(format!("expected {EXPECTED}, found an empty object"));
     }
-    let one = |(name, value): (String, Value)| {
+    let mut changes = Changes::default();
+    for (name, value) in all {
         let wrong = |expected: &str, value: &Value| Err(format!("{name}: expected {expected}, found {value}"));
         match (name.as_str(), value) {
-            ("set", Value::Object(keys)) => Ok(Command::Set(keys.into_iter().collect())),
-            ("set", value) => wrong("an object of keys of the job and their values", &value),
+            ("set", Value::Object(keys)) => changes.keys.extend(keys),
+            ("set", value) => return wrong("an object of keys of the job and their values", &value),
             ("time", value) if value.is_number() || value.is_null() => {
-                Ok(Command::Set(vec![("pose.time_s".into(), value)]))
+                changes.keys.push(("pose.time_s".into(), value));
             }
-            ("time", value) => wrong("seconds, or null for the default pose of the scene", &value),
+            ("time", value) => return wrong("seconds, or null for the default pose of the scene", &value),
             ("viewers", value) => match serde_json::from_value(value.clone()) {
-                Ok(heads_mm) => Ok(Command::Viewers(heads_mm)),
-                Err(_) => wrong("a list of positions [x, y, z] in millimetres", &value),
+                Ok(heads_mm) => changes.heads_mm = Some(heads_mm),
+                Err(_) => return wrong("a list of positions [x, y, z] in millimetres", &value),
             },
-            ("reload", Value::Bool(true)) => Ok(Command::Reload),
-            ("stop", Value::Bool(true)) => Ok(Command::Stop),
-            ("stop_at_end", Value::Bool(true)) => Ok(Command::StopAtEnd),
-            ("reload" | "stop" | "stop_at_end", value) => wrong("true", &value),
-            (name, _) => Err(format!("expected {EXPECTED}, found `{name}`")),
+            ("reload", Value::Bool(true)) => changes.reload = true,
+            ("stop", Value::Bool(true)) => changes.stop = true,
+            ("stop_at_end", Value::Bool(true)) => changes.stop_at_end = true,
+            ("reload" | "stop" | "stop_at_end", value) => return wrong("true", &value),
+            (name, _) => return Err(format!("expected {EXPECTED}, found `{name}`")),
         }
-    };
-    all.into_iter().map(one).collect()
+    }
+    Ok(changes)
 }
 
 /// Follows a head by OpenTrack's packets until the display stops.
@@ -119,8 +101,11 @@ pub(super) fn read_packets(socket: &UdpSocket, centre_mm: [f64; 3], requests: &R
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use lumistack_pipeline::{DisplayJob, Job};
 
+    use super::super::clock::now;
     use super::*;
 
     fn requests() -> Requests {
@@ -150,6 +135,30 @@ mod tests {
         assert!(requests.is_stopped());
     }
 
+    /// Any wrong entry of a line leaves the line's other entries without effect, before and after
+    /// the wrong entry.
+    #[test]
+    fn a_line_with_one_wrong_entry_changes_nothing() {
+        let brightness = r#""set": {"display.brightness": 0.31}"#;
+        let others = r#""time": 2, "viewers": [[0, 0, 600]], "reload": true, "stop_at_end": true, "stop": true"#;
+        for line in [
+            format!(r#"{{{brightness}, "viewers": [[0, 0, -5]]}}"#),
+            format!(r#"{{"viewers": [[0, 0, 600]], "set": {{"display.brightness": 7}}}}"#),
+            format!(r#"{{{others}, "set": {{"display.bright": 1}}}}"#),
+            format!(r#"{{{brightness}, {others}, "end": true}}"#),
+        ] {
+            let requests = requests();
+            carry_out("{\"time\": 1, \"viewers\": [[5, 0, 500]]}", &requests).unwrap();
+            let heads_mm = |requests: &Requests| requests.tracker().boxes(now(), Duration::ZERO).heads_mm;
+            let before = (requests.job(), requests.newest.after(0).unwrap().0, heads_mm(&requests));
+            assert_eq!(before.2, [[5.0, 0.0, 500.0]]);
+            carry_out(&line, &requests).unwrap_err();
+            requests.end_of_input();
+            let after = (requests.job(), requests.newest.after(0).unwrap().0, heads_mm(&requests));
+            assert_eq!((after, requests.is_stopped()), (before, false), "{line}");
+        }
+    }
+
     /// A line that is too long is refused as a whole, and later lines are executed.
     #[test]
     fn long_lines_are_refused_once() {
@@ -158,7 +167,7 @@ mod tests {
             let errors = std::cell::RefCell::new(Vec::new());
             let blanks = " ".repeat(LINE - "{\"time\": 2}\n".len() + excess);
             let lines = format!("{{\"time\": 2{blanks}}}\n{{\"time\": 1}}\n");
-            requests.set(&[("pose.time_s".into(), json!(0.0))]).unwrap();
+            carry_out("{\"time\": 0}", &requests).unwrap();
             let (before, _) = requests.newest.after(0).unwrap();
             follow_lines(lines.as_bytes(), &requests, |error| errors.borrow_mut().push(error));
             let (number, request) = requests.newest.after(0).unwrap();

@@ -19,6 +19,21 @@ pub(super) struct Request {
     pub(super) edition: u64,
 }
 
+/// Changes that are requested together: all of them take effect, or none.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Changes {
+    /// Keys of the job and their new values. The last value of a key counts.
+    pub(super) keys: Vec<(String, Value)>,
+    /// Positions of all viewers' heads, display space, mm; `None` if they are unchanged.
+    pub(super) heads_mm: Option<Vec<[f64; 3]>>,
+    /// True if the job's files are to be read again.
+    pub(super) reload: bool,
+    /// True if the display is to stop.
+    pub(super) stop: bool,
+    /// True if the end of standard input is to stop the display.
+    pub(super) stop_at_end: bool,
+}
+
 /// Receives requests from any thread.
 pub(super) struct Requests {
     request: Mutex<Kept>,
@@ -28,7 +43,8 @@ pub(super) struct Requests {
     /// The cancel flag of the running pass, whose light field is useless after a newer request.
     pass: Mutex<Option<Cancel>>,
     stopped: AtomicBool,
-    /// True if the end of standard input also stops the display.
+    /// True if the end of standard input also stops the display. So the display also ends if the
+    /// program that started it crashes.
     stops_at_end: AtomicBool,
 }
 
@@ -56,15 +72,34 @@ impl Requests {
         lock(&self.request).request.job.clone()
     }
 
-    /// Sets keys of the job. If one of them is wrong, none is set.
-    pub(super) fn set(&self, keys: &[(String, Value)]) -> Result<(), PipelineError> {
+    /// Makes changes.
+    ///
+    /// # Errors
+    /// If a key, a value or a position is wrong. Then nothing changes.
+    pub(super) fn make(&self, changes: &Changes) -> Result<(), String> {
+        // The lock is held from the checks to the changes, so that no other thread changes the job
+        // between them.
         let mut kept = lock(&self.request);
-        kept.request.job = with_keys(kept.request.job.clone(), keys)?;
-        for (key, value) in keys {
+        let job = with_keys(kept.request.job.clone(), &changes.keys).map_err(|error| error.to_string())?;
+        // Wrong positions have no effect. This is the last check, so it may store the positions.
+        if let Some(heads_mm) = &changes.heads_mm {
+            self.see(heads_mm, Eyes::Two).map_err(|error| error.to_string())?;
+        }
+        kept.request.job = job;
+        for (key, value) in &changes.keys {
             kept.set.retain(|(other, _)| other != key);
             kept.set.push((key.clone(), value.clone()));
         }
-        self.post(&kept);
+        kept.request.edition += u64::from(changes.reload);
+        if changes.reload || !changes.keys.is_empty() {
+            self.post(&kept);
+        }
+        if changes.stop_at_end {
+            self.stops_at_end.store(true, Ordering::SeqCst);
+        }
+        if changes.stop {
+            self.stop();
+        }
         Ok(())
     }
 
@@ -112,12 +147,6 @@ impl Requests {
 
     pub(super) fn stop(&self) {
         self.stopped.store(true, Ordering::SeqCst);
-    }
-
-    /// Makes the end of standard input stop the display. So the display also ends if the program
-    /// that started it crashes.
-    pub(super) fn stop_at_end(&self) {
-        self.stops_at_end.store(true, Ordering::SeqCst);
     }
 
     pub(super) fn end_of_input(&self) {
