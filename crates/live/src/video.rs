@@ -28,7 +28,7 @@ pub enum Due {
 
 impl Player {
     /// Plays `count` time steps at `rate_hz` > 0. If more than `most_late` later time steps are due
-    /// already, playback skips to the newest of them.
+    /// already, playback skips to the newest of them. The last time step is always shown.
     pub fn new(count: usize, rate_hz: f64, most_late: usize) -> Self {
         Self { count, rate_hz, most_late, next: 0, begun: None, dropped: 0 }
     }
@@ -38,9 +38,10 @@ impl Player {
     pub fn next(&mut self, now: Duration) -> Due {
         let begun = *self.begun.get_or_insert(now);
         let newest = (now.saturating_sub(begun).as_secs_f64() * self.rate_hz + EARLY).floor() as usize;
-        if newest > self.next + self.most_late {
-            let to = newest.min(self.count);
-            self.dropped += to - self.next.min(to);
+        if newest > self.next.saturating_add(self.most_late) {
+            // The last time step is never skipped, so the video ends with its last picture.
+            let to = newest.min(self.count.saturating_sub(1)).max(self.next);
+            self.dropped += to - self.next;
             self.next = to;
         }
         if self.next >= self.count {
