@@ -19,6 +19,7 @@ mod watch;
 mod work;
 
 use std::net::UdpSocket;
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::mpsc::sync_channel;
@@ -55,6 +56,8 @@ pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb\n      
 const LOOK: Duration = Duration::from_millis(100);
 /// Interval at which threads check whether the display has stopped.
 const TICK: Duration = Duration::from_millis(20);
+/// Smallest and largest number of time steps per second.
+const RATES_HZ: [f64; 2] = [0.001, 1000.0];
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Live {
@@ -84,7 +87,7 @@ pub(crate) struct Live {
     /// their names
     #[arg(long, help_heading = "Video")]
     pub(crate) times: bool,
-    /// Time steps per second
+    /// Time steps per second, from 0.001 to 1000
     #[arg(long, value_name = "HZ", default_value_t = 24.0, requires = "times", help_heading = "Video")]
     pub(crate) rate: f64,
     /// Largest delay of playback, in time steps. If the delay is greater, playback skips to the
@@ -136,7 +139,11 @@ impl Live {
             true => Ok(()),
             false => Err(PipelineError::option(name, key, "a number above 0", value.to_string())),
         };
-        positive("--rate", "value", self.rate)?;
+        let [least, most] = RATES_HZ;
+        if !(least..=most).contains(&self.rate) {
+            let expected = format!("a number from {least} to {most}");
+            return Err(PipelineError::option("--rate", "value", expected, self.rate.to_string()));
+        }
         positive("--sigma-mm", "value", self.sigma_mm)?;
         positive("--head-mm", "Z", self.head_mm.0[2])?;
         match &self.show {
@@ -193,33 +200,35 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let guest = (!is_tracked).then(|| Guest::new(&shared.requests, args.head_mm.0[2])).transpose()?;
     let feed = PageFeed::new(&shared.states, &shared.messages, (&site, &title), guest, registry, work);
     let rates = Rates { times, rate_hz: args.rate, most_late: args.most_late };
-    // Threads run until the user, a command or the end of the video stops them.
+    // Threads run until the user, a command, the end of the video or a panic stops them.
+    let shared = &shared;
     let ended = std::thread::scope(|scope| {
-        let renderer = scope.spawn(|| render(live_fields, &shared, rates, registry, work));
-        let solver = scope.spawn(|| solve(solver, &shared, work));
+        let renderer = scope.spawn(|| shared.guard(|| render(live_fields, shared, rates, registry, work)));
+        let solver = scope.spawn(|| shared.guard(|| solve(solver, shared, work)));
         if let Some(door) = &door {
-            scope.spawn(|| door.attend(&shared.requests, &shared.events));
+            scope.spawn(|| shared.guard(|| door.attend(&shared.requests, &shared.events)));
         }
         if let Some(socket) = &socket {
-            scope.spawn(|| read_packets(socket, args.head_mm.0, &shared.requests, work));
+            scope.spawn(|| shared.guard(|| read_packets(socket, args.head_mm.0, &shared.requests, work)));
         }
-        scope.spawn(|| watch_files(args, begun, &shared, work));
-        let page = scope.spawn(|| serve_page(args, &server, &feed, &shared, json, work));
-        let shown = match &args.show {
-            Some(mode) => show(mode, args.mouse.then_some(args.head_mm.0[2]), &shared, registry, work),
-            None => Ok(()),
-        };
-        if args.show.is_none() {
-            // Wait for Ctrl-C, a command that stops the display, or the end of a video.
-            while !(task.cancel.is_cancelled() || shared.requests.is_stopped()) {
-                std::thread::sleep(TICK);
+        scope.spawn(|| shared.guard(|| watch_files(args, begun, shared, work)));
+        let page = scope.spawn(|| shared.guard(|| serve_page(args, &server, &feed, shared, json, work)));
+        let shown = shared.guard(|| match &args.show {
+            Some(mode) => show(mode, args.mouse.then_some(args.head_mm.0[2]), shared, registry, work),
+            None => {
+                // Wait for Ctrl-C, a command that stops the display, or the end of a video.
+                while !(task.cancel.is_cancelled() || shared.requests.is_stopped()) {
+                    std::thread::sleep(TICK);
+                }
+                Ok(())
             }
-        }
+        });
         shared.stop();
         feed.stop();
-        let _ = page.join();
-        let solved = solver.join().unwrap_or(Ok(()));
-        let dropped = renderer.join().unwrap_or(Ok(0));
+        // A panic of a thread is a panic of the command.
+        page.join().unwrap_or_else(|panic| resume_unwind(panic));
+        let solved = solver.join().unwrap_or_else(|panic| resume_unwind(panic));
+        let dropped = renderer.join().unwrap_or_else(|panic| resume_unwind(panic));
         shown.and(solved).and(dropped)
     });
     let _ = std::fs::remove_dir_all(&site);
@@ -382,4 +391,30 @@ fn show(
 fn head_at(from_deg: [f64; 2], distance_mm: f64) -> [f64; 3] {
     let [x, y] = from_deg.map(|angle| distance_mm * angle.to_radians().tan());
     [x, y, distance_mm]
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        live: Live,
+    }
+
+    #[test]
+    fn a_rate_without_a_schedule_is_refused() {
+        let check = |rate: &str| {
+            let command = Command::parse_from(["live", "views", "--times", "--rate", rate]);
+            command.live.check().map_err(|error| error.to_string())
+        };
+        assert_eq!(["24", "0.001", "1000"].map(check), [Ok(()), Ok(()), Ok(())]);
+        for rate in ["0", "1e-30", "1e9", "inf", "NaN"] {
+            let error = check(rate).unwrap_err();
+            assert!(error.starts_with("--rate: value: expected a number from 0.001 to 1000, found"), "{rate}: {error}");
+        }
+    }
 }

@@ -37,7 +37,9 @@ impl Player {
     /// The first call starts the video.
     pub fn next(&mut self, now: Duration) -> Due {
         let begun = *self.begun.get_or_insert(now);
-        let newest = (now.saturating_sub(begun).as_secs_f64() * self.rate_hz + EARLY).floor() as usize;
+        // time steps since the beginning
+        let passed = now.saturating_sub(begun).as_secs_f64() * self.rate_hz + EARLY;
+        let newest = passed.floor() as usize;
         if newest > self.next.saturating_add(self.most_late) {
             // The last time step is never skipped, so the video ends with its last picture.
             let to = newest.min(self.count.saturating_sub(1)).max(self.next);
@@ -47,9 +49,9 @@ impl Player {
         if self.next >= self.count {
             return Due::End;
         }
-        let due = begun + Duration::from_secs_f64(self.next as f64 / self.rate_hz);
-        if now + Duration::from_secs_f64(EARLY / self.rate_hz) < due {
-            return Due::Wait(due - now);
+        if self.next as f64 > passed {
+            let after = Duration::try_from_secs_f64(self.next as f64 / self.rate_hz).unwrap_or(Duration::MAX);
+            return Due::Wait(begun.saturating_add(after).saturating_sub(now));
         }
         self.next += 1;
         Due::Time(self.next - 1)

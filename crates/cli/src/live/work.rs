@@ -84,6 +84,12 @@ impl Shared {
         self.requests.cancel_pass();
     }
 
+    /// Does the work of a thread. If the work panics, all threads end.
+    pub(super) fn guard<T>(&self, work: impl FnOnce() -> T) -> T {
+        let _guard = Guard(self);
+        work()
+    }
+
     pub(super) fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::SeqCst)
     }
@@ -99,6 +105,17 @@ impl Shared {
         let mut noted = lock(&self.files);
         if noted.0 != files {
             *noted = (files, begun);
+        }
+    }
+}
+
+/// Ends all threads if it is dropped by a panic.
+struct Guard<'a>(&'a Shared);
+
+impl Drop for Guard<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.stop();
         }
     }
 }
@@ -295,5 +312,30 @@ impl Current {
             Err(error) => task.warn("viewers", error.to_string()),
         }
         self.boxes = boxes;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_pipeline::DisplayJob;
+
+    use super::*;
+
+    #[test]
+    fn a_thread_that_panics_ends_all_threads() {
+        let requests = Requests::new(Job::new(DisplayJob::by_name_or_path("fig7-uniform")));
+        let shared = Shared::new(requests, Events::new(true), 1, 10.0);
+        let (cancel, pass) = (lumistack_core::Cancel::default(), shared.requests.pass());
+        let warnings = lumistack_core::Collector::default();
+        let solver = LiveSolver::new(&shared.requests.job()).unwrap();
+        std::thread::scope(|scope| {
+            let waiting = scope.spawn(|| shared.guard(|| solve(solver, &shared, Task::quiet(&warnings, &cancel))));
+            assert_eq!(shared.guard(|| 3), 3);
+            assert!(!shared.is_stopped());
+            let panics = || shared.guard::<()>(|| std::panic::resume_unwind(Box::new(())));
+            scope.spawn(panics).join().unwrap_err();
+            assert!(waiting.join().is_ok());
+        });
+        assert!(shared.is_stopped() && shared.requests.is_stopped() && pass.is_cancelled());
     }
 }

@@ -63,3 +63,10 @@ fn a_player_that_may_be_late_without_limit_skips_nothing() {
         assert_eq!((player.next(ms(now)), player.dropped), (due, 0));
     }
 }
+
+#[test]
+fn a_rate_that_is_almost_zero_waits_instead_of_a_panic() {
+    let mut player = Player::new(2, 1e-30, 3);
+    assert_eq!(player.next(ms(5)), Due::Time(0));
+    assert!(matches!(player.next(ms(5)), Due::Wait(time) if time > Duration::from_secs(1 << 40)));
+}
