@@ -143,7 +143,7 @@ mod tests {
         let others = r#""time": 2, "viewers": [[0, 0, 600]], "reload": true, "stop_at_end": true, "stop": true"#;
         for line in [
             format!(r#"{{{brightness}, "viewers": [[0, 0, -5]]}}"#),
-            format!(r#"{{"viewers": [[0, 0, 600]], "set": {{"display.brightness": 7}}}}"#),
+            r#"{"viewers": [[0, 0, 600]], "set": {"display.brightness": 7}}"#.into(),
             format!(r#"{{{others}, "set": {{"display.bright": 1}}}}"#),
             format!(r#"{{{brightness}, {others}, "end": true}}"#),
         ] {
