@@ -190,6 +190,7 @@ fn for_each_plane(stack: &mut LayerStack, change: impl Fn(&mut [f32], usize, usi
 }
 
 /// For every pixel of a line, returns Σ βL over the rays through the pixel, and the number of rays.
+/// Rows of rays whose weights are all 0 are left out, since their L may be unknown.
 pub(crate) fn line_means(plan: &Plan, at: LineOf) -> Vec<[f32; 2]> {
     let map = &plan.maps[at.factor];
     let layout = &map.layout;
@@ -199,6 +200,9 @@ pub(crate) fn line_means(plan: &Plan, at: LineOf) -> Vec<[f32; 2]> {
         for &(row, _) in map.rays_of_line(view_y, at.line) {
             for view_x in 0..plan.views[1] {
                 for run in &plan.runs[view_x] {
+                    if plan.target.count(plan.view(view_y, view_x), row as usize, run) == 0 {
+                        continue;
+                    }
                     let rays = Rays { channel: at.channel, view: [view_y, view_x], row: row as usize, run };
                     wanted(plan, &rays, &mut radiance[..run.len()]);
                     let ones = &plan.ones[..run.len()];

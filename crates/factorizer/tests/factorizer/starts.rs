@@ -1,11 +1,11 @@
 //! Compares warm starts with fresh starts: the choice by `warm_start_pays` must agree with the
 //! result of five iterations.
 
-use lumistack_core::{Cancel, Collector, Task};
+use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{LightField, Weights};
 
 use crate::problems::{Owned, display};
-use lumistack_factorizer::{Settings, factorize, warm_start_pays};
+use lumistack_factorizer::{Problem, Settings, factorize, warm_start_pays};
 
 /// Returns a target with a wall of waves behind the display and a striped card in front of it, both
 /// moved by `shift` pixels. A different value of `scene` gives other waves and stripes.
@@ -120,5 +120,31 @@ fn the_start_that_is_taken_is_not_the_worse_one() {
                 "case {number}, {shift} {scene}: warm {from_warm}, fresh {from_fresh}"
             );
         }
+    }
+}
+
+/// A target may be black in views of weight 0, as that of a live display is between the rows and
+/// columns of its viewers. Nothing of these views may be in the patterns.
+#[test]
+fn views_of_weight_0_change_no_pattern() {
+    let Owned { display, target, .. } = card(0.0, 0.0);
+    let [view_rows, view_cols] = target.geometry().grid.views();
+    let counts = |view: usize| view.is_multiple_of(2);
+    let weights = (0..view_rows * view_cols).map(|view| if counts(view) { 1.0 } else { 0.0 }).collect();
+    let weights = Tensor::from_vec(["view_y", "view_x"], [view_rows, view_cols], weights).unwrap();
+    let weights = Weights::PerView(weights);
+    let mut black = target.clone();
+    for (index, view) in target.geometry().grid.iter().enumerate().filter(|(index, _)| !counts(*index)) {
+        assert_eq!(view, [index / view_cols, index % view_cols]);
+        black.view_mut(view).fill(0.0);
+    }
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    for iterations in [0, 3] {
+        let patterns = [&target, &black].map(|target| {
+            let problem = Problem { display: &display, target, weights: &weights };
+            let settings = settings("block-exact", iterations);
+            factorize(&problem, &settings, None, Task::quiet(&warnings, &cancel), &mut |_| {}).unwrap().stack
+        });
+        assert_eq!(patterns[0], patterns[1], "{iterations}");
     }
 }
