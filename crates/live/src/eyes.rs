@@ -19,6 +19,7 @@
 use lumistack_core::Tensor;
 use lumistack_display::{Display, GridError, LightField, Projection, Sampling, ViewGrid, WeightError, Weights};
 use lumistack_factorizer::Problem;
+use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::Target;
@@ -77,7 +78,8 @@ impl Boxes {
         }
         let (grid, weights) = self.grid(target.field.geometry().grid.projection, sigma_mm);
         let display = Display { sampling: Sampling::Bilinear, ..(*target.display).clone() };
-        Ok(Rays::Eyes(Box::new(EyeViews { display, field: seen_from(&target.field, grid)?, weights })))
+        let field = seen_from(&target.field, grid, &weights)?;
+        Ok(Rays::Eyes(Box::new(EyeViews { display, field, weights })))
     }
 
     /// Returns the views from the viewers' eyes, and the weights of the views. A grid is separable,
@@ -124,7 +126,7 @@ impl EyeViews {
     }
 
     /// Returns the light field. It has a row of views for each viewer, and two columns of views for
-    /// each eye. With [`Eyes::Picture`], a viewer has one eye.
+    /// each eye. With [`Eyes::Picture`], a viewer has one eye. Views of weight 0 are black.
     pub fn field(&self) -> &LightField {
         &self.field
     }
@@ -177,8 +179,9 @@ fn between(from: (Projection, &[f64]), to: (Projection, &[f64]), at_mm: &[f64]) 
 }
 
 /// Returns a light field in other views. Each ray is a mixture of the rays of the four views around
-/// it, through the same point of the display plane.
-fn seen_from(field: &LightField, grid: ViewGrid) -> Result<LightField, GridError> {
+/// it, through the same point of the display plane. Views of weight 0 stay black. All rows of all
+/// views share the threads.
+fn seen_from(field: &LightField, grid: ViewGrid, weights: &Weights) -> Result<LightField, GridError> {
     let from = field.geometry();
     let mut seen = LightField::black(from.with_grid(grid))?;
     let to = seen.geometry().grid.clone();
@@ -187,20 +190,24 @@ fn seen_from(field: &LightField, grid: ViewGrid) -> Result<LightField, GridError
     let columns = between((from.grid.projection, &from.grid.slope_x), (to.projection, &to.slope_x), &x_mm);
     let rows = between((from.grid.projection, &from.grid.slope_y), (to.projection, &to.slope_y), &y_mm);
     let sources: Vec<&[f32]> = from.grid.iter().map(|view| field.view(view)).collect();
-    for [view_y, view_x] in to.iter() {
-        let picture = seen.view_mut([view_y, view_x]);
-        for (row, y) in rows[view_y].iter().enumerate() {
-            for (col, x) in columns[view_x].iter().enumerate() {
-                let at = 3 * (row * from.cols + col);
-                for (view_row, weight_y) in y.views.into_iter().zip([1.0 - y.share, y.share]) {
-                    for (view_col, weight_x) in x.views.into_iter().zip([1.0 - x.share, x.share]) {
-                        let source = &sources[view_row * from.grid.slope_x.len() + view_col][at..at + 3];
-                        let weight = weight_y * weight_x;
-                        picture[at..at + 3].iter_mut().zip(source).for_each(|(sum, value)| *sum += weight * value);
-                    }
+    let views: Vec<[usize; 2]> = to.iter().collect();
+    let width = 3 * from.cols;
+    seen.radiance_mut().data_mut().par_chunks_exact_mut(width).enumerate().for_each(|(line, mixed)| {
+        let (view, row) = (views[line / from.rows], line % from.rows);
+        if weights.at(view, row, 0) == 0.0 {
+            return;
+        }
+        let y = &rows[view[0]][row];
+        for (col, (rgb, x)) in mixed.chunks_exact_mut(3).zip(&columns[view[1]]).enumerate() {
+            let at = row * width + 3 * col;
+            for (view_row, weight_y) in y.views.into_iter().zip([1.0 - y.share, y.share]) {
+                for (view_col, weight_x) in x.views.into_iter().zip([1.0 - x.share, x.share]) {
+                    let source = &sources[view_row * from.grid.slope_x.len() + view_col][at..at + 3];
+                    let weight = weight_y * weight_x;
+                    rgb.iter_mut().zip(source).for_each(|(sum, value)| *sum += weight * value);
                 }
             }
         }
-    }
+    });
     Ok(seen)
 }

@@ -15,7 +15,9 @@
 //! The method needs only light fields, so it works for scenes and for given light fields. Content
 //! that turns or moves in depth has a different motion on every layer and at every place.
 
+use lumistack_core::{Cancel, Cancelled};
 use lumistack_display::{BacklightTap, Display, FieldGeometry, LayerStack, LightField, RayMap, Region, spread};
+use rayon::prelude::*;
 
 /// Largest number of views per axis whose rays are averaged.
 const VIEWS: usize = 5;
@@ -29,6 +31,9 @@ const AROUND: usize = 4;
 const FARTHEST: i32 = 32;
 /// Step of the first search, pixels.
 const COARSE: i32 = 2;
+/// Width of the border of [`Padded`] planes, pixels. The second search goes [`COARSE`] − 1 pixels
+/// farther than the first.
+const PADDING: usize = (FARTHEST + COARSE - 1) as usize;
 /// Number of best matches of the first search that the second search refines.
 const KEPT: usize = 8;
 /// The factor λ of the penalty on long motions: each pixel of motion must reduce the mean squared
@@ -61,36 +66,45 @@ pub struct Flow {
 
 impl Planes {
     /// Averages a light field over the rays through each pixel of each layer.
-    pub fn of(display: &Display, field: &LightField) -> Self {
+    ///
+    /// # Errors
+    /// When cancelled.
+    pub fn of(display: &Display, field: &LightField, cancel: &Cancel) -> Result<Self, Cancelled> {
         let map = RayMap::new(display, field.geometry());
         let layer = |n: usize| {
             let of = &map.layers[n];
-            let index = |taps: &[lumistack_display::Tap]| taps.iter().map(|tap| pixel(tap.first)).collect::<Vec<_>>();
-            let along = |view: [usize; 2]| [index(of.y.of_view(view[0])), index(of.x.of_view(view[1]))];
-            Plane::of(field, [of.rows, of.cols], along)
+            let index = |taps: &[lumistack_display::Tap]| taps.iter().map(|tap| pixel(tap.first)).collect();
+            Plane::of(field, [of.rows, of.cols], [&|y| index(of.y.of_view(y)), &|x| index(of.x.of_view(x))], cancel)
         };
-        let mut planes: Vec<Plane> = (0..map.layers.len()).map(layer).collect();
+        let mut planes = (0..map.layers.len()).map(layer).collect::<Result<Vec<_>, _>>()?;
         if let (Some(backlight), Some([_, _, _, rows, cols, _])) = (&map.backlight, LayerStack::emission_shape(display))
         {
-            let index = |taps: &[BacklightTap]| taps.iter().map(|tap| lenslet(*tap)).collect::<Vec<_>>();
-            let along = |view: [usize; 2]| [index(backlight.y(view[0])), index(backlight.x(view[1]))];
-            planes.push(Plane::of(field, [rows, cols], along));
+            let index = |taps: &[BacklightTap]| taps.iter().map(|tap| lenslet(*tap)).collect();
+            let along: [Along<'_>; 2] = [&|y| index(backlight.y(y)), &|x| index(backlight.x(x))];
+            planes.push(Plane::of(field, [rows, cols], along, cancel)?);
         }
-        Self(planes)
+        Ok(Self(planes))
     }
 
     /// Computes the motion from these planes to later planes of the same display. `None` if nothing
     /// moves, or if the planes have different sizes.
-    pub fn flows_to(&self, later: &Self) -> Option<Vec<Flow>> {
+    ///
+    /// # Errors
+    /// When cancelled.
+    pub fn flows_to(&self, later: &Self, cancel: &Cancel) -> Result<Option<Vec<Flow>>, Cancelled> {
         let sizes = |planes: &Self| planes.0.iter().map(|plane| [plane.rows, plane.cols]).collect::<Vec<_>>();
         if sizes(self) != sizes(later) {
-            return None;
+            return Ok(None);
         }
-        let flows: Vec<Flow> =
-            self.0.iter().zip(&later.0).map(|(before, after)| Flow::between(before, after)).collect();
-        flows.iter().any(Flow::moves).then_some(flows)
+        let flows = self.0.iter().zip(&later.0).map(|(before, after)| Flow::between(before, after, cancel));
+        let flows = flows.collect::<Result<Vec<_>, _>>()?;
+        Ok(flows.iter().any(Flow::moves).then_some(flows))
     }
 }
+
+/// For a row (or column) of views, returns the plane's row (or column) that the rays through each
+/// row (or column) of the light field hit. `None` if the rays miss the plane.
+type Along<'a> = &'a dyn Fn(usize) -> Vec<Option<usize>>;
 
 /// Returns the index of the pixel that a ray hits; `None` if the ray misses the layer.
 fn pixel(first: u32) -> Option<usize> {
@@ -105,41 +119,91 @@ fn lenslet(tap: BacklightTap) -> Option<usize> {
 }
 
 impl Plane {
-    /// Averages a light field on a plane. For a view, `along` returns the plane's row for each row
-    /// of the field, and the plane's column for each column.
-    fn of(field: &LightField, [rows, cols]: [usize; 2], along: impl Fn([usize; 2]) -> [Vec<Option<usize>>; 2]) -> Self {
+    /// Averages a light field on a plane of [rows, columns]. The rows of the plane share the
+    /// threads. One thread adds all rays of a row, always in the same order.
+    fn of(
+        field: &LightField,
+        [rows, cols]: [usize; 2],
+        [along_y, along_x]: [Along<'_>; 2],
+        cancel: &Cancel,
+    ) -> Result<Self, Cancelled> {
         let FieldGeometry { grid, cols: field_cols, .. } = field.geometry();
         let [view_rows, view_cols] = grid.views().map(|count| spread(count, VIEWS));
-        let (mut sums, mut counts) = (vec![0.0f32; rows * cols], vec![0u32; rows * cols]);
-        for view in view_rows.iter().flat_map(|&y| view_cols.iter().map(move |&x| [y, x])) {
-            let [to_row, to_col] = along(view);
-            for (line, row) in field.view(view).chunks_exact(3 * field_cols).zip(&to_row) {
-                let Some(row) = row else { continue };
-                for (rgb, col) in line.chunks_exact(3).zip(&to_col) {
-                    let Some(col) = col else { continue };
-                    sums[row * cols + col] += rgb.iter().sum::<f32>() / 3.0;
-                    counts[row * cols + col] += 1;
+        // For every row of the plane, list the row of views and the row of each line of rays.
+        let mut lines = vec![Vec::new(); rows];
+        for &view_y in &view_rows {
+            for (line, row) in along_y(view_y).into_iter().enumerate() {
+                if let Some(row) = row {
+                    lines[row].push([view_y, line]);
                 }
             }
         }
-        let grey = sums.iter().zip(&counts).map(|(sum, &count)| sum / count.max(1) as f32).collect();
-        Self { rows, cols, grey }
+        let to_cols: Vec<_> = view_cols.iter().map(|&view_x| (view_x, along_x(view_x))).collect();
+        let mut grey = vec![0.0f32; rows * cols];
+        grey.par_chunks_exact_mut(cols.max(1)).zip(&lines).try_for_each_init(
+            || vec![0u32; cols],
+            |counts, (sums, lines)| {
+                cancel.check()?;
+                counts.fill(0);
+                for lines in lines.chunk_by(|a, b| a[0] == b[0]) {
+                    for (view_x, to_col) in &to_cols {
+                        for &[view_y, line] in lines {
+                            let line = &field.view([view_y, *view_x])[3 * field_cols * line..][..3 * field_cols];
+                            for (rgb, col) in line.chunks_exact(3).zip(to_col) {
+                                let Some(col) = *col else { continue };
+                                sums[col] += rgb.iter().sum::<f32>() / 3.0;
+                                counts[col] += 1;
+                            }
+                        }
+                    }
+                }
+                sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum /= (*count).max(1) as f32);
+                Ok(())
+            },
+        )?;
+        Ok(Self { rows, cols, grey })
     }
 
-    /// Returns the value at a pixel. Outside the border, returns the value of the nearest pixel.
-    fn at(&self, row: i32, col: i32) -> f32 {
-        let row = row.clamp(0, self.rows as i32 - 1) as usize;
-        let col = col.clamp(0, self.cols as i32 - 1) as usize;
-        self.grey[row * self.cols + col]
+    fn row(&self, row: usize) -> &[f32] {
+        &self.grey[row * self.cols..][..self.cols]
+    }
+}
+
+/// A plane with a border of [`PADDING`] pixels on each side. Pixels of the border have the value of
+/// the nearest pixel of the plane.
+struct Padded(Plane);
+
+impl Padded {
+    fn new(plane: &Plane) -> Self {
+        let inside = |at: usize, count: usize| at.saturating_sub(PADDING).min(count - 1);
+        let [rows, cols] = [plane.rows, plane.cols].map(|count| count + 2 * PADDING);
+        let mut grey = Vec::with_capacity(rows * cols);
+        for row in 0..rows {
+            let from = plane.row(inside(row, plane.rows));
+            grey.extend((0..cols).map(|col| from[inside(col, plane.cols)]));
+        }
+        Self(Plane { rows, cols, grey })
+    }
+
+    /// Returns the values of a range of pixels, whose place is relative to the plane without the
+    /// border.
+    fn values(&self, row: i32, col: i32, count: usize) -> &[f32] {
+        let [row, col] = [row, col].map(|at| (at + PADDING as i32) as usize);
+        &self.0.row(row)[col..col + count]
     }
 }
 
 impl Flow {
-    fn between(before: &Plane, after: &Plane) -> Self {
+    /// Finds the motion of all blocks. The blocks share the threads.
+    fn between(before: &Plane, after: &Plane, cancel: &Cancel) -> Result<Self, Cancelled> {
         let blocks = [after.rows, after.cols].map(|count| count.div_ceil(BLOCK));
-        let one = |index: usize| best_shift(before, after, [index / blocks[1], index % blocks[1]].map(|i| i * BLOCK));
-        let shifts = smoothed(blocks, &(0..blocks[0] * blocks[1]).map(one).collect::<Vec<_>>());
-        Self { rows: after.rows, cols: after.cols, blocks, shifts }
+        let before = Padded::new(before);
+        let one = |index: usize| {
+            cancel.check()?;
+            Ok(best_shift(&before, after, [index / blocks[1], index % blocks[1]].map(|i| i * BLOCK)))
+        };
+        let shifts = (0..blocks[0] * blocks[1]).into_par_iter().map(one).collect::<Result<Vec<_>, _>>()?;
+        Ok(Self { rows: after.rows, cols: after.cols, blocks, shifts: smoothed(blocks, &shifts) })
     }
 
     fn moves(&self) -> bool {
@@ -164,19 +228,16 @@ impl Flow {
 }
 
 /// Finds the motion [right, down] by which a block of `after` matches `before` best.
-fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2] {
-    let span =
-        |from: usize, count: usize| (from.saturating_sub(AROUND) as i32)..((from + BLOCK + AROUND).min(count) as i32);
+fn best_shift(before: &Padded, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2] {
+    let span = |from: usize, count: usize| from.saturating_sub(AROUND)..(from + BLOCK + AROUND).min(count);
     let (rows, cols) = (span(row, after.rows), span(col, after.cols));
     let pixels = (rows.len() * cols.len()) as f32;
     let error = |[right, down]: [i32; 2], limit: f32| {
         let cost = COST * (right as f32).hypot(down as f32);
         let mut sum = cost * pixels;
-        for r in rows.clone() {
-            for c in cols.clone() {
-                let difference = after.at(r, c) - before.at(r - down, c - right);
-                sum += difference * difference;
-            }
+        for row in rows.clone() {
+            let source = before.values(row as i32 - down, cols.start as i32 - right, cols.len());
+            sum += squared_difference(&after.row(row)[cols.clone()], source);
             if sum >= limit {
                 return f32::INFINITY;
             }
@@ -208,6 +269,21 @@ fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2]
         }
     }
     best.0
+}
+
+/// Returns Σ (a − b)².
+fn squared_difference(a: &[f32], b: &[f32]) -> f32 {
+    // Eight sums have no order among them, so the compiler computes them in vectors.
+    const SUMS: usize = 8;
+    let mut sums = [0.0f32; SUMS];
+    let (a, b) = (a.chunks_exact(SUMS), b.chunks_exact(SUMS));
+    let rest = a.remainder().iter().zip(b.remainder()).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
+    for (a, b) in a.zip(b) {
+        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
+            *sum += (a - b) * (a - b);
+        }
+    }
+    sums.iter().sum::<f32>() + rest
 }
 
 /// Replaces each block's motion by the median over 3 × 3 blocks, which removes single wrong

@@ -116,7 +116,7 @@ impl Solver {
         let same_content = self.last.as_ref().is_some_and(|last| last.target.content == target.content);
         let planes = match &mut self.last {
             Some(last) if same_content => last.planes.clone(),
-            _ => Planes::of(&target.display, &target.field),
+            _ => Planes::of(&target.display, &target.field, task.cancel)?,
         };
         let (start, from) = match &self.last {
             None => (None, Start::Fresh),
@@ -143,7 +143,7 @@ fn nearest_start(
 ) -> Result<(Option<LayerStack>, Start), FactorizeError> {
     let (mut best, mut from) = (last.stack.clone(), Start::Kept);
     let mut psnr_view = at_start(executor, problem, warm, Some(&best), task)?.1;
-    if let Some(flows) = last.planes.flows_to(planes) {
+    if let Some(flows) = last.planes.flows_to(planes, task.cancel)? {
         let (start, _) = at_start(executor, problem, fresh, None, task)?;
         let other = moved(&best, &flows, &start);
         let ahead = at_start(executor, problem, warm, Some(&other), task)?.1;

@@ -1,14 +1,24 @@
-use super::fields::{CONTENTS, display, target};
-use crate::motion::{Planes, moved};
+use lumistack_core::{Cancel, Cancelled};
+use lumistack_display::Display;
+
+use super::fields::{CONTENTS, Content, display, target};
+use crate::motion::{Flow, Planes, moved};
+
+/// Returns the planes of content that is moved to the right.
+fn planes(display: &Display, content: Content, moved_mm: f64) -> Planes {
+    Planes::of(display, &target(display, content, moved_mm, 0).field, &Cancel::default()).unwrap()
+}
+
+fn flows([before, after]: &[Planes; 2]) -> Option<Vec<Flow>> {
+    before.flows_to(after, &Cancel::default()).unwrap()
+}
 
 #[test]
 fn content_that_moves_is_found_on_every_layer_and_patterns_move_with_it() {
     let display = display();
     for content in CONTENTS {
         for shift in [0, 2, 7, 10] {
-            let planes =
-                [0.0, f64::from(shift)].map(|by| Planes::of(&display, &target(&display, content, by, 0).field));
-            let Some(flows) = planes[0].flows_to(&planes[1]) else {
+            let Some(flows) = flows(&[0.0, f64::from(shift)].map(|by| planes(&display, content, by))) else {
                 assert_eq!(shift, 0, "{content:?}");
                 continue;
             };
@@ -31,8 +41,7 @@ fn content_that_moves_is_found_on_every_layer_and_patterns_move_with_it() {
 #[test]
 fn values_move_by_whole_pixels_in_every_frame() {
     let display = display();
-    let planes = [0.0, 6.0].map(|by| Planes::of(&display, &target(&display, CONTENTS[1], by, 0).field));
-    let flows = planes[0].flows_to(&planes[1]).unwrap();
+    let flows = flows(&[0.0, 6.0].map(|by| planes(&display, CONTENTS[1], by))).unwrap();
     let mut stack = lumistack_display::LayerStack::filled(&display, 0.0);
     for layer in &mut stack.layers {
         layer.data_mut().iter_mut().enumerate().for_each(|(i, value)| *value = i as f32);
@@ -51,6 +60,25 @@ fn values_move_by_whole_pixels_in_every_frame() {
 fn displays_that_differ_have_no_motion_between_them() {
     let mut other = display();
     other.layers.pop();
-    let planes = [display(), other].map(|display| Planes::of(&display, &target(&display, CONTENTS[0], 0.0, 0).field));
-    assert_eq!(planes[0].flows_to(&planes[1]), None);
+    assert_eq!(flows(&[display(), other].map(|display| planes(&display, CONTENTS[0], 0.0))), None);
+}
+
+#[test]
+fn the_motion_is_the_same_on_any_number_of_threads_and_can_be_cancelled() {
+    let display = display();
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let planes = [0.0, 7.0].map(|by| planes(&display, Content::Two, by));
+            (flows(&planes), planes)
+        })
+    };
+    let (flows, [before, after]) = on(1);
+    assert!(flows.is_some());
+    assert_eq!(on(3), (flows, [before.clone(), after.clone()]));
+    let cancel = Cancel::default();
+    cancel.cancel();
+    assert_eq!(before.flows_to(&after, &cancel), Err(Cancelled));
+    let field = &target(&display, Content::Two, 0.0, 0).field;
+    assert_eq!(Planes::of(&display, field, &cancel), Err(Cancelled));
 }
