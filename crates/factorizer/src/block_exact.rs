@@ -210,3 +210,48 @@ impl Iterated for BlockExactRun {
         self.state
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use lumistack_display::{Display, LightField, Tiling, Weights};
+
+    use super::*;
+    use crate::engine::Engine;
+    use crate::plan::{Plan, TilePlace};
+    use crate::prepared::Patterns;
+    use crate::random_start;
+
+    /// Tolerance of sums in single precision.
+    const ROUNDING: f64 = 1e-4;
+
+    /// An update of a tile with fixed pixels reads only lines with free pixels, so its error is a
+    /// part of the objective. A rise of the objective elsewhere must cause a restart too.
+    #[test]
+    fn the_restart_compares_whole_objectives_in_a_tile_with_fixed_pixels() {
+        let whole = Display::uniform([32, 24], 1.0, [3, 3], [20.0, 20.0], &[-6.0, 0.0, 6.0], 2);
+        let geometry = whole.geometry().unwrap();
+        let tiling = Tiling::new(&whole, &geometry, [2, 2]);
+        let tile = tiling.tile(0);
+        let mut target = LightField::black(geometry.clone()).unwrap();
+        target.radiance_mut().data_mut().fill(0.4);
+        let (display, target) = (tile.display(&whole, &geometry), tile.light_field(&target));
+        let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
+        for fixed in [false, true] {
+            let place = tile.parts.iter().zip(&tile.whole);
+            let place = place.map(|(part, whole)| [[part.held.rows.start, part.held.cols.start], *whole]).collect();
+            let free = fixed.then(|| tile.parts.iter().map(|part| part.free.within(&part.held)).collect());
+            let plan = Plan::of_tile(&problem, &tile.map(tiling.map()), TilePlace { place, free }).unwrap();
+            let (plan, patterns) = (Arc::new(plan), Patterns::Stack(random_start(&display, 1)));
+            let prepared = Prepared { plan: plan.clone(), display: &display, patterns, executor: &Processor };
+            let mut engine = Engine::begin(prepared.into_begin(0.0, false));
+            let last = plan.factor_count() - 1;
+            let objective = engine.objective().value;
+            engine.update(last, Rule::Block { sweeps: SWEEPS }, None);
+            let seen = engine.outcome().error;
+            assert_eq!((seen / objective - 1.0).abs() < ROUNDING, !fixed, "{seen} of {objective}");
+            assert_eq!(plan.sees_all_rays(last), !fixed);
+        }
+    }
+}

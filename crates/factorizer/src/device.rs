@@ -148,8 +148,7 @@ pub trait Updater {
         let (plan, map) = (self.plan(), &self.plan().maps[n]);
         let stored_is_read = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());
         // in a tile with fixed pixels, some rays read a pixel that made no step
-        let all_step = map.complete && plan.free(n).is_none();
-        let exact = plan.is_product() && map.nearest && all_step && stored_is_read;
+        let exact = plan.is_product() && map.nearest && plan.sees_all_rays(n) && stored_is_read;
         // a remainder much smaller than the error is only rounding
         let left = outcome.error - outcome.gain;
         let known = exact && plan.target.is_uniform() && left > LEAST_LEFT * outcome.error;

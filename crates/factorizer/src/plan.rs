@@ -157,9 +157,10 @@ impl Plan {
         self.maps.len()
     }
 
-    /// Returns true if an update of factor `n` reports the error of all rays.
+    /// Returns true if an update of factor `n` reports the error of all rays. In a tile with fixed
+    /// pixels, an update leaves out lines without free pixels.
     pub fn sees_all_rays(&self, n: usize) -> bool {
-        self.maps[n].complete
+        self.maps[n].complete && self.free(n).is_none()
     }
 
     /// Returns true if layers attenuate.
