@@ -8,6 +8,8 @@ mod text;
 use lumistack_display::{Backlight, ClosedForm, Display, Formation, OutsideBins, ProjectionKind};
 use serde::Serialize;
 
+use crate::step::view_step;
+
 /// Number of depths at which the bound is sampled.
 const SAMPLES: usize = 1601;
 
@@ -93,7 +95,8 @@ pub struct Zone {
     pub fov_deg: [f64; 2],
     /// Number of views.
     pub views: [usize; 2],
-    /// Difference of slope between neighbouring views.
+    /// Difference of slope between neighbouring views. If an axis with a fixed number of views has
+    /// one view, the range of slopes that this view stands for.
     pub step: [f64; 2],
     /// Smallest distance at which an eye on the axis sees the whole display within the zone,
     /// millimetres. For pinhole views, this is the distance for which they are made.
@@ -272,7 +275,7 @@ impl Zone {
         let field = &display.field;
         let half = field.fov_deg.map(|fov| (0.5 * fov.to_radians()).tan());
         let size = display.field_pixels().size_mm();
-        let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
+        let step = view_step(display);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
         // Let α be the field of view. From the distance `whole` on, the rays from the eye to both
         // edges of the display have slopes of at most tan(α/2). An axis with a single direction
@@ -330,7 +333,7 @@ impl Brightness {
 
 #[cfg(test)]
 mod tests {
-    use lumistack_display::LensletBacklight;
+    use lumistack_display::{LensletBacklight, Views};
 
     use super::*;
 
@@ -375,6 +378,26 @@ mod tests {
         let half = 24f64.to_radians().tan();
         assert!((zone.whole_from_mm - 0.5 * 840.0 * 0.5655 / half).abs() < 1e-9);
         assert!((zone.width_mm[0] - 840.0 * 0.5655).abs() < 1e-9, "at twice the distance it is as wide as the display");
+    }
+
+    /// Oracle: the differences of the slopes in the grid of views.
+    #[test]
+    fn the_step_is_that_of_the_views() {
+        let fixed = Display::uniform([100, 60], 1.0, [5, 1], [20.0, 10.0], &[-3.0, 0.0, 3.0], 2);
+        for views in [Views::Auto, Views::Step([0.07, 0.02]), Views::Fixed([5, 3])] {
+            let mut display = fixed.clone();
+            display.field.views = views;
+            let grid = display.geometry().unwrap().grid;
+            let expected = [grid.slope_x[1] - grid.slope_x[0], grid.slope_y[0] - grid.slope_y[1]];
+            let zone = Analysis::of(&display, None, None).zone;
+            assert!((0..2).all(|axis| (zone.step[axis] - expected[axis]).abs() < 1e-12), "{views:?}: {:?}", zone.step);
+        }
+        // one of several equal bins, and a view straight ahead
+        let zone = Analysis::of(&fixed, None, None).zone;
+        assert!((zone.step[1] - 2.0 * 5f64.to_radians().tan()).abs() < 1e-12);
+        let mut single = fixed;
+        single.field.views = Views::Step([0.0, 0.1]);
+        assert_eq!(Analysis::of(&single, None, None).zone.step[0], 0.0);
     }
 
     #[test]

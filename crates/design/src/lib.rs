@@ -13,6 +13,7 @@ mod analysis;
 pub mod contrast;
 pub mod predict;
 pub mod sheet;
+mod step;
 pub mod table;
 
 pub use analysis::{Analysis, AxisAnalysis, Brightness, Closed, Scene, Timing, Zone};

@@ -18,6 +18,7 @@
 
 use lumistack_display::Display;
 
+use crate::step::view_step;
 use crate::table::Design;
 
 /// Constants c_0 to c_3 of the prediction, dB.
@@ -31,9 +32,7 @@ const DEPTHS: usize = 65;
 pub fn features(display: &Display) -> [f64; 3] {
     let design = Design::of("", display);
     let own = 0.5 / display.field.pitch_mm;
-    let steps =
-        [0, 1].map(|axis| 2.0 / display.views()[axis] as f64 * (0.5 * display.field.fov_deg[axis].to_radians()).tan());
-    let step = steps[0].max(steps[1]);
+    let step = view_step(display).into_iter().fold(0.0, f64::max);
     // A display with a single direction shows no depth, so the bound is sampled only on the display
     // plane.
     let reach = if step > 0.0 { display.field.pitch_mm / step } else { 0.0 };
