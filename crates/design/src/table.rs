@@ -198,12 +198,23 @@ enum Axis {
     Brightness,
     Gap,
     Fov,
+    VerticalFov,
     Lenslets,
+    LensletRows,
 }
 
 impl Axis {
-    const ALL: [Self; 7] =
-        [Self::Display, Self::Layers, Self::Frames, Self::Brightness, Self::Gap, Self::Fov, Self::Lenslets];
+    const ALL: [Self; 9] = [
+        Self::Display,
+        Self::Layers,
+        Self::Frames,
+        Self::Brightness,
+        Self::Gap,
+        Self::Fov,
+        Self::VerticalFov,
+        Self::Lenslets,
+        Self::LensletRows,
+    ];
 
     /// Returns the label of the axis, with the unit.
     fn label(self) -> &'static str {
@@ -214,12 +225,24 @@ impl Axis {
             Self::Brightness => "brightness β",
             Self::Gap => "distance of layers Δd, mm",
             Self::Fov => "horizontal field of view α, degrees",
+            Self::VerticalFov => "vertical field of view, degrees",
             Self::Lenslets => "lenslets per row",
+            Self::LensletRows => "rows of lenslets",
         }
     }
 
     fn stem(self) -> &'static str {
-        ["display", "layers", "frames", "brightness", "gap", "fov", "lenslets"][self as usize]
+        match self {
+            Self::Display => "display",
+            Self::Layers => "layers",
+            Self::Frames => "frames",
+            Self::Brightness => "brightness",
+            Self::Gap => "gap",
+            Self::Fov => "fov",
+            Self::VerticalFov => "vertical-fov",
+            Self::Lenslets => "lenslets",
+            Self::LensletRows => "lenslet-rows",
+        }
     }
 
     /// Returns the position of a design on this axis.
@@ -231,7 +254,9 @@ impl Axis {
             Self::Brightness => design.brightness,
             Self::Gap => design.gap_mm,
             Self::Fov => design.fov_deg[0],
+            Self::VerticalFov => design.fov_deg[1],
             Self::Lenslets => design.lenslets[0] as f64,
+            Self::LensletRows => design.lenslets[1] as f64,
         }
     }
 
@@ -239,8 +264,19 @@ impl Axis {
     fn concerns(self, design: &Design) -> bool {
         match self {
             Self::Gap => design.layers > 1,
-            Self::Lenslets => design.lenslets != [0, 0],
+            Self::Lenslets | Self::LensletRows => design.lenslets != [0, 0],
             _ => true,
+        }
+    }
+
+    /// Returns true if designs differ along this axis. A vertical value often follows from the
+    /// horizontal one, for example if all angles of view are square. Then it is no axis of its own.
+    fn varies(self, rows: &[Row]) -> bool {
+        let differ = |rows: &[Row]| values(rows, self).len() > 1;
+        match self {
+            Self::VerticalFov => groups(rows, &[Self::Fov]).iter().any(|part| differ(part)),
+            Self::LensletRows => groups(rows, &[Self::Lenslets]).iter().any(|part| differ(part)),
+            _ => differ(rows),
         }
     }
 
@@ -262,8 +298,10 @@ impl Axis {
             Self::Brightness => format!("β = {value}"),
             Self::Gap => format!("Δd = {value} mm"),
             Self::Fov => format!("α = {value}°"),
-            Self::Lenslets if design.lenslets == [0, 0] => "no lenslets".into(),
+            Self::VerticalFov => format!("vertical α = {value}°"),
+            Self::Lenslets | Self::LensletRows if design.lenslets == [0, 0] => "no lenslets".into(),
             Self::Lenslets => format!("{value} lenslets"),
+            Self::LensletRows => format!("{value} rows of lenslets"),
         }
     }
 }
@@ -337,7 +375,7 @@ pub fn plots(rows: &[Row], which: Plots) -> Result<(Vec<Plot>, usize), PlotError
 }
 
 fn sketches(rows: &[Row]) -> Vec<Sketch> {
-    let varying: Vec<Axis> = Axis::ALL.into_iter().filter(|axis| values(rows, *axis).len() > 1).collect();
+    let varying: Vec<Axis> = Axis::ALL.into_iter().filter(|axis| axis.varies(rows)).collect();
     let mut found = Vec::new();
     let pairs = [(Axis::Frames, Axis::Layers), (Axis::Frames, Axis::Brightness), (Axis::Layers, Axis::Brightness)];
     for (x, y) in pairs.into_iter().filter(|(x, y)| varying.contains(x) && varying.contains(y)) {
@@ -575,5 +613,39 @@ mod tests {
             stems.contains(&"psnr-brightness-01") && stems.contains(&"psnr-gap-01"),
             "every axis is seen: {stems:?}"
         );
+    }
+
+    /// Rows of designs with these angles of view and these numbers of lenslets.
+    fn rows_of(designs: &[([f64; 2], [usize; 2])]) -> Vec<Row> {
+        let row = |&(fov_deg, lenslets)| {
+            let row = rows().swap_remove(0);
+            Row { design: Design { fov_deg, lenslets, ..row.design }, ..row }
+        };
+        designs.iter().map(row).collect()
+    }
+
+    #[test]
+    fn designs_that_differ_only_vertically_have_axes_of_their_own() {
+        let varying = |designs: &[([f64; 2], [usize; 2])]| -> Vec<Axis> {
+            let rows = rows_of(designs);
+            Axis::ALL.into_iter().filter(|axis| axis.varies(&rows)).collect()
+        };
+        let (wide, high, none) = ([20.0, 5.0], [20.0, 20.0], [0, 0]);
+        assert_eq!(varying(&[(wide, none), (high, none)]), [Axis::VerticalFov]);
+        assert_eq!(varying(&[(wide, [4, 3]), (wide, [4, 6]), (wide, none)]), [Axis::LensletRows]);
+        assert_eq!(
+            varying(&[(wide, [4, 3]), (high, [4, 3]), ([10.0, 5.0], [8, 3])]),
+            [Axis::Fov, Axis::VerticalFov, Axis::Lenslets]
+        );
+        // a vertical value that follows from the horizontal one has no curves of its own
+        assert_eq!(varying(&[([10.0, 10.0], [4, 3]), (high, [8, 6])]), [Axis::Fov, Axis::Lenslets]);
+        // no plot has two designs at one place
+        let crossed = [(wide, none), (high, none), ([10.0, 5.0], none), ([10.0, 20.0], none)];
+        let plots = plots(&rows_of(&crossed), Plots::All).unwrap().0;
+        let stems: Vec<&str> = plots.iter().map(|plot| plot.0.as_str()).collect();
+        assert_eq!(stems, ["psnr-fov-01", "psnr-vertical-fov-01"]);
+        for (_, svg) in &plots {
+            assert!(svg.contains("vertical"), "{svg}");
+        }
     }
 }

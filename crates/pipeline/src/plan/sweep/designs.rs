@@ -20,7 +20,7 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
         let name = own.preset.clone().or_else(|| own.file.as_deref().and_then(stem)).unwrap_or_default();
         vec![(name, own.clone())]
     } else {
-        sweep.displays.iter().map(|text| base(job, text)).collect()
+        bases(job, &sweep.displays)
     };
     if !sweep.fov_deg.is_empty() && job.scene.is_none() {
         return Err(PipelineError::job(
@@ -91,12 +91,18 @@ fn choose_views<'a>(job: &mut Job, candidates: impl Iterator<Item = &'a mut Cand
     }
 }
 
-/// Returns the name of a preset or display file, and the job's table `[display]` for it.
-fn base(job: &Job, text: &str) -> (String, DisplayJob) {
-    let named = DisplayJob::by_name_or_path(text);
-    let name = Path::new(text).file_stem().map_or(text.into(), |stem| stem.to_string_lossy().into_owned());
-    let file = named.file.map(|file| job.folder.join(file));
-    (name, DisplayJob { preset: named.preset, file, ..job.display.clone() })
+/// Returns the name of each preset or display file, and the job's table `[display]` for it. The name
+/// of a file is its stem, or the text of the job if another display has the same stem.
+fn bases(job: &Job, texts: &[String]) -> Vec<(String, DisplayJob)> {
+    let stem = |text: &str| Path::new(text).file_stem().map_or(text.into(), |stem| stem.to_string_lossy().into_owned());
+    let one = |text: &String| {
+        let is_shared = texts.iter().any(|other| other != text && stem(other) == stem(text));
+        let named = DisplayJob::by_name_or_path(text);
+        let file = named.file.map(|file| job.folder.join(file));
+        let name = if is_shared { text.clone() } else { stem(text) };
+        (name, DisplayJob { preset: named.preset, file, ..job.display.clone() })
+    };
+    texts.iter().map(one).collect()
 }
 
 /// Returns all combinations of the values of a sweep; the last parameter varies fastest.
@@ -149,6 +155,17 @@ mod tests {
         assert_eq!((found.len(), fields.len()), (6 + 12, 1));
         assert_eq!(found[5].design.layers, 3);
         assert!(found.iter().all(|candidate| candidate.field == 0 && candidate.display.field.resolution == [16, 10]));
+    }
+
+    #[test]
+    fn displays_with_one_stem_have_different_names() {
+        let names = |texts: &[&str]| -> Vec<String> {
+            let texts: Vec<String> = texts.iter().map(|text| (*text).into()).collect();
+            bases(&job(SweepJob::default()), &texts).into_iter().map(|(name, _)| name).collect()
+        };
+        assert_eq!(names(&["a/my.toml", "other.toml", "fig7-uniform"]), ["my", "other", "fig7-uniform"]);
+        assert_eq!(names(&["a/my.toml", "b/my.toml", "my", "c.toml"]), ["a/my.toml", "b/my.toml", "my", "c"]);
+        assert_eq!(names(&["a/my.toml", "a/my.toml"]), ["my", "my"], "one display");
     }
 
     #[test]
