@@ -38,7 +38,6 @@ impl Display {
             Views::Step(step) => {
                 let ok = step.iter().all(|step| step.is_finite() && *step >= 0.0);
                 check(ok, "field.views.step", "slopes of at least 0", format!("{step:?}"))?;
-                pixels("field.views", self.views())?;
             }
         }
         self.geometry()?.check()?;

@@ -1,6 +1,6 @@
 //! The slopes at which pixels of different layers coincide, and the views at these slopes.
 
-use crate::views::{half_width, steps_within};
+use crate::views::{half_width, steps_within, views_of};
 use crate::{Backlight, Display, GridError, Projection, ViewGrid, Views};
 
 /// Largest number of views per axis that [`Views::Auto`] chooses.
@@ -52,8 +52,8 @@ impl Display {
     /// Returns the views of the light field for which the display is made.
     ///
     /// # Errors
-    /// If an angle is outside of 0..180°, there are no views, or the viewing distance is not above
-    /// 0.
+    /// If an angle is outside of 0..180°, the steps give more than 65536 views along an axis, there
+    /// are no views, or the viewing distance is not above 0.
     pub fn view_grid(&self, projection: Projection) -> Result<ViewGrid, GridError> {
         self.field.views.grid(projection, self.field.fov_deg, || self.auto_step(usize::MAX))
     }
@@ -86,7 +86,7 @@ impl Display {
                 _ => 0.0,
             })
         };
-        let count = |step: [f64; 2]| [0, 1].map(|axis| 2 * steps_within(half[axis], step[axis]) + 1);
+        let count = |step: [f64; 2]| [0, 1].map(|axis| views_of(steps_within(half[axis], step[axis])));
         let fits = |step: [f64; 2]| {
             let [x, y] = count(step);
             x.max(y) <= MOST_AUTO && x.saturating_mul(y) <= most_views

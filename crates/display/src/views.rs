@@ -13,6 +13,8 @@ use crate::{GridError, Projection, ViewGrid};
 /// Fraction of a step by which the outermost view may be outside the zone. So every slope at the
 /// zone's edge is at most three quarters of a step from a view.
 const BEYOND: f64 = 0.25;
+/// Largest number of views per axis.
+const MOST: usize = 1 << 16;
 /// Tolerance with which a quotient is rounded down to a whole number.
 const ROUNDING: f64 = 1e-9;
 
@@ -48,8 +50,16 @@ impl Views {
         };
         // return an error for invalid angles
         ViewGrid::uniform(projection, [1, 1], fov_deg)?;
+        // A tiny step would need more memory than there is, so count the views before they are
+        // listed.
+        let sides = [0, 1].map(|axis| steps_within(half_width(fov_deg[axis]), step[axis]));
+        let views = sides.map(views_of);
+        if views.iter().any(|count| *count > MOST) {
+            let expected = "1 to 65536 per axis";
+            return Err(GridError { what: "views", expected, found: format!("{views:?}") });
+        }
         let slopes = |axis: usize| {
-            let most = steps_within(half_width(fov_deg[axis]), step[axis]) as i64;
+            let most = sides[axis] as i64;
             (-most..=most).map(|k| k as f64 * step[axis]).collect::<Vec<f64>>()
         };
         let slope_y = slopes(1).into_iter().rev().collect();
@@ -65,6 +75,11 @@ pub(crate) fn half_width(fov_deg: f64) -> f64 {
 /// Returns the number of views on either side of the middle view.
 pub(crate) fn steps_within(half_width: f64, step: f64) -> usize {
     if step > 0.0 { (half_width / step + BEYOND + ROUNDING) as usize } else { 0 }
+}
+
+/// Returns the number of views with `side` views on either side of the middle view.
+pub(crate) fn views_of(side: usize) -> usize {
+    side.saturating_mul(2).saturating_add(1)
 }
 
 impl Serialize for Views {
@@ -150,6 +165,23 @@ impl std::str::FromStr for Views {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn steps_that_give_too_many_views_are_refused() {
+        let grid = |step: [f64; 2]| {
+            let grid = Views::Step(step).grid(Projection::Oblique, [20.0, 20.0], || [0.0; 2]);
+            grid.map(|grid| grid.views()).map_err(|error| error.to_string())
+        };
+        assert_eq!(grid([0.1, 0.0]), Ok([1, 5]));
+        let half = half_width(20.0);
+        assert_eq!(grid([half / 32767.0, 0.1]), Ok([5, 65535]));
+        let error = grid([0.1, half / 32768.0]).unwrap_err();
+        assert_eq!(error, "views: expected 1 to 65536 per axis, found [5, 65537]");
+        for step in [1e-9, 1e-18, f64::MIN_POSITIVE] {
+            let error = grid([step, 0.1]).unwrap_err();
+            assert!(error.starts_with("views: expected 1 to 65536 per axis, found ["), "{step}: {error}");
+        }
+    }
 
     #[test]
     fn files_have_three_forms() {
