@@ -61,7 +61,7 @@ impl PanelStack {
     /// Returns the largest number of frames with which a display does not flicker at the refresh
     /// rate `refresh_hz`; at least 1.
     pub fn steady_frames(refresh_hz: f64) -> usize {
-        ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1)
+        whole(refresh_hz / Display::FLICKER_HZ).max(1)
     }
 
     /// Makes the display. The plane of zero parallax is the middle layer or, for an even number of
@@ -90,7 +90,7 @@ impl PanelStack {
         let mut names = self.outputs.iter().cloned().map(Some).chain(std::iter::repeat(None));
         let mut panel = || Some(Panel { output: names.next().flatten(), ..Panel::default() });
         if let Some(lenses) = &self.lenses {
-            let count = resolution.map(|count| ((count as f64 * pitch_mm / lenses.pitch_mm) as usize).max(1));
+            let count = resolution.map(|count| whole(count as f64 * pitch_mm / lenses.pitch_mm).max(1));
             let (z_mm, fov_deg) = (d_mm[0] - lenses.gap_mm, [lenses.fov_deg(); 2]);
             let mut backlight = LensletBacklight::new(z_mm, count, lenses.pitch_mm, self.views, fov_deg);
             (backlight.transfer, backlight.black_level) = (self.transfer.clone(), self.black_level);
@@ -107,6 +107,14 @@ impl PanelStack {
         display.check()?;
         Ok(display)
     }
+}
+
+/// Returns the largest whole number that is at most `quotient`. A quotient that misses a whole
+/// number only by rounding counts as this number.
+fn whole(quotient: f64) -> usize {
+    /// Tolerance of the quotient, since its terms are decimal numbers of a file.
+    const ROUNDING: f64 = 1e-6;
+    (quotient + ROUNDING).floor() as usize
 }
 
 #[cfg(test)]
@@ -152,6 +160,11 @@ mod tests {
         let Backlight::Lenslets(backlight) = &display.backlight else { panic!("{:?}", display.backlight) };
         assert_eq!(backlight.lenslets, [210, 131]);
         assert!((backlight.fov_deg[0] - 2.0 * 0.2f64.atan().to_degrees()).abs() < 1e-12);
+        // 1920 · 0.29/0.1 is 5567.999999999999 in floating point
+        let lenses = Some(LensArray { pitch_mm: 0.1, focal_mm: 5.0, gap_mm: 7.0 });
+        let exact = PanelStack { panel_resolution: [1920, 1080], panel_pitch_mm: 0.29, lenses, ..three() };
+        let Backlight::Lenslets(exact) = exact.display().unwrap().backlight else { panic!("no lenslets") };
+        assert_eq!(exact.lenslets, [5568, 3132]);
         let output = |panel: &Option<Panel>| panel.as_ref().unwrap().output.clone().unwrap();
         assert_eq!((output(&backlight.panel), output(&display.layers[0].panel)), ("back".into(), "front".into()));
         assert!(PanelStack { brightness: 2.0, ..three() }.display().is_err());
