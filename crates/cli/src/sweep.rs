@@ -266,8 +266,8 @@ fn text_of(row: &Row) -> String {
         if d.lenslets == [0, 0] { String::new() } else { format!(", {} × {} lenslets", d.lenslets[0], d.lenslets[1]) };
     let of = if row.psnr_zone_db.is_some() { " over the zone" } else { "" };
     format!(
-        "{:.1} dB{of}: {}; layers: {}, frames: {}{lenses}, β = {}, {:.1} mm thick, {:.0} Hz, panels: {}",
-        row.quality_db(),
+        "{}{of}: {}; layers: {}, frames: {}{lenses}, β = {}, {:.1} mm thick, {:.0} Hz, panels: {}",
+        row.quality_text(),
         d.display,
         d.layers,
         d.frames,

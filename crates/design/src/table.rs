@@ -78,10 +78,10 @@ pub struct Row {
     /// As `psnr_zone_db`, but only over the tenth of the directions with the lowest PSNR, dB.
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
-    /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
-    pub psnr_view_db: f64,
-    /// PSNR of L̃ against βL, dB.
-    pub psnr_raw_db: f64,
+    /// PSNR of L̃/β against L, dB, at most [`MOST_DB`]. `None` if no ray was scored.
+    pub psnr_view_db: Option<f64>,
+    /// PSNR of L̃ against βL, dB, at most [`MOST_DB`]. `None` if no ray was scored.
+    pub psnr_raw_db: Option<f64>,
     /// PSNR of L̃/β at views between the target's views, dB; `None` if these views are not known.
     pub psnr_between_db: Option<f64>,
     /// PSNR of L̃/β against L at the worst time step of a sequence, dB; `None` for a still. The
@@ -96,9 +96,15 @@ pub struct Row {
 
 impl Row {
     /// Returns the PSNR by which designs are ranked, dB: the zone score or, without reference
-    /// pictures, the PSNR at the target views.
+    /// pictures, the PSNR at the target views. −∞ if nothing was scored.
     pub fn quality_db(&self) -> f64 {
-        self.psnr_zone_db.unwrap_or(self.psnr_view_db)
+        self.psnr_zone_db.or(self.psnr_view_db).unwrap_or(f64::NEG_INFINITY)
+    }
+
+    /// Returns [`quality_db`](Self::quality_db) as a text with its unit.
+    pub fn quality_text(&self) -> String {
+        let quality_db = self.quality_db();
+        if quality_db.is_finite() { format!("{quality_db:.1} dB") } else { "no score".into() }
     }
 }
 
@@ -113,10 +119,10 @@ pub struct NodeRow {
     /// Zone score over the tenth of the directions with the lowest PSNR, dB.
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
-    /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
-    pub psnr_view_db: f64,
-    /// PSNR of L̃ against βL, dB.
-    pub psnr_raw_db: f64,
+    /// PSNR of L̃/β against L, dB, at most [`MOST_DB`]. `None` if no ray was scored.
+    pub psnr_view_db: Option<f64>,
+    /// PSNR of L̃ against βL, dB, at most [`MOST_DB`]. `None` if no ray was scored.
+    pub psnr_raw_db: Option<f64>,
     /// PSNR of L̃/β at views between the target's views, dB; `None` if these views are not known.
     pub psnr_between_db: Option<f64>,
     /// PSNR of L̃/β against L at the worst time step of a sequence, dB; `None` for a still.
@@ -171,10 +177,10 @@ pub fn csv(rows: &[Row]) -> String {
         cells.push(rounded(d.values_per_ray, 4));
         let cell = |psnr: Option<f64>| psnr.map_or(String::new(), |psnr| format!("{psnr:.3}"));
         cells.extend([row.psnr_zone_db, row.psnr_zone_worst_tenth_db].map(cell));
-        cells.extend([Some(row.psnr_view_db), Some(row.psnr_raw_db), row.psnr_between_db].map(cell));
+        cells.extend([row.psnr_view_db, row.psnr_raw_db, row.psnr_between_db].map(cell));
         cells.extend(has_times.then(|| cell(row.psnr_worst_db)));
         for node in &row.nodes {
-            cells.extend([node.psnr_zone_db, Some(node.psnr_view_db)].map(cell));
+            cells.extend([node.psnr_zone_db, node.psnr_view_db].map(cell));
             cells.extend(has_times.then(|| cell(node.psnr_worst_db)));
         }
         text.push_str(&cells.join(","));
@@ -355,7 +361,7 @@ struct Sketch {
 /// # Errors
 /// If drawing fails.
 pub fn plots(rows: &[Row], which: Plots) -> Result<(Vec<Plot>, usize), PlotError> {
-    let all = sketches(rows);
+    let all = if scores(rows).next().is_some() { sketches(rows) } else { Vec::new() };
     let count = all.len();
     let chosen = match which {
         Plots::None => Vec::new(),
@@ -372,6 +378,11 @@ pub fn plots(rows: &[Row], which: Plots) -> Result<(Vec<Plot>, usize), PlotError
     let plots = chosen.into_iter().map(draw).collect::<Result<Vec<Plot>, PlotError>>()?;
     let more = count - plots.len();
     Ok((plots, more))
+}
+
+/// Returns the scores of the designs that have one, dB.
+fn scores(rows: &[Row]) -> impl Iterator<Item = f64> {
+    rows.iter().map(|row| row.quality_db()).filter(|psnr| psnr.is_finite())
 }
 
 fn sketches(rows: &[Row]) -> Vec<Sketch> {
@@ -468,10 +479,10 @@ fn map_of(all: &[Row], part: &[Row], x: Axis, y: Axis, others: &[Axis]) -> Resul
     let (columns, rows) = (values(part, x), values(part, y));
     let value = |row: &String, column: &String| {
         let here = part.iter().find(|r| x.name(&r.design) == *column && y.name(&r.design) == *row);
-        here.map_or(f64::NAN, |row| row.quality_db())
+        here.map(|row| row.quality_db()).filter(|psnr| psnr.is_finite()).unwrap_or(f64::NAN)
     };
     let values = rows.iter().map(|row| columns.iter().map(|column| value(row, column)).collect()).collect();
-    let lowest = all.iter().map(|row| row.quality_db()).fold(f64::MAX, f64::min);
+    let lowest = scores(all).fold(f64::MAX, f64::min);
     plot::map(&Map {
         title: title(part, others),
         x_label: x.label().into(),
@@ -489,8 +500,10 @@ fn map_of(all: &[Row], part: &[Row], x: Axis, y: Axis, others: &[Axis]) -> Resul
 fn curves_of(all: &[Row], part: &[Row], x: Axis, by: Option<Axis>, others: &[Axis]) -> Result<String, PlotError> {
     let names = by.map_or(vec![String::new()], |by| values(part, by));
     let curves = names.iter().enumerate().map(|(place, name)| {
-        let own =
-            part.iter().filter(|row| x.concerns(&row.design) && by.is_none_or(|by| by.name(&row.design) == *name));
+        let own = part.iter().filter(|row| {
+            let fits = by.is_none_or(|by| by.name(&row.design) == *name);
+            x.concerns(&row.design) && fits && row.quality_db().is_finite()
+        });
         let mut points: Vec<[f64; 2]> =
             own.clone().map(|row| [x.number(&row.design), row.quality_db().min(plot::CAP_DB)]).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]));
@@ -498,8 +511,8 @@ fn curves_of(all: &[Row], part: &[Row], x: Axis, by: Option<Axis>, others: &[Axi
         let name = by.zip(first).map_or(String::new(), |(by, row)| by.with_value(&row.design));
         Curve { name, points, colour: place % COLOURS.len(), dashed: place >= COLOURS.len(), dots: true }
     });
-    let lowest = all.iter().map(|row| row.quality_db()).fold(f64::MAX, f64::min);
-    let highest = all.iter().map(|row| row.quality_db().min(plot::CAP_DB)).fold(f64::MIN, f64::max);
+    let lowest = scores(all).fold(f64::MAX, f64::min);
+    let highest = scores(all).map(|psnr| psnr.min(plot::CAP_DB)).fold(f64::MIN, f64::max);
     let axes = Axes {
         title: title(part, others),
         x_label: x.label().into(),
@@ -527,8 +540,8 @@ mod tests {
                 design,
                 psnr_zone_db: None,
                 psnr_zone_worst_tenth_db: None,
-                psnr_view_db: psnr,
-                psnr_raw_db: psnr,
+                psnr_view_db: Some(psnr),
+                psnr_raw_db: Some(psnr),
                 psnr_between_db: None,
                 psnr_worst_db: None,
                 nodes: Vec::new(),
@@ -559,6 +572,21 @@ mod tests {
         assert_eq!(lines[0].split(',').count(), 18);
         assert_eq!(lines[1], "a,1,1,1,0,20,20,0,0,0,1,0,0.1111,,,25.000,25.000,");
         assert!(lines[5].starts_with("\"b, wide\",1,1,"));
+    }
+
+    #[test]
+    fn a_design_without_score_has_empty_cells_and_the_lowest_rank() {
+        let mut rows = rows();
+        (rows[2].psnr_view_db, rows[2].psnr_raw_db) = (None, None);
+        assert!(csv(&rows).lines().nth(3).unwrap().ends_with(",,,,,"), "{}", csv(&rows));
+        assert_eq!(rows[2].quality_text(), "no score");
+        assert!(rows.iter().all(|row| row.quality_db() >= rows[2].quality_db()));
+        let text = serde_json::to_string(&rows).unwrap();
+        assert_eq!(serde_json::from_str::<Vec<Row>>(&text).unwrap(), rows);
+        let (drawn, _) = plots(&rows, Plots::All).unwrap();
+        assert!(drawn.iter().all(|(_, svg)| !svg.contains("NaN") && !svg.contains("inf")));
+        rows.iter_mut().for_each(|row| row.psnr_view_db = None);
+        assert_eq!(plots(&rows, Plots::All).unwrap(), (Vec::new(), 0));
     }
 
     #[test]
@@ -598,8 +626,8 @@ mod tests {
                     design,
                     psnr_zone_db: None,
                     psnr_zone_worst_tenth_db: None,
-                    psnr_view_db: 30.0,
-                    psnr_raw_db: 40.0,
+                    psnr_view_db: Some(30.0),
+                    psnr_raw_db: Some(40.0),
                     psnr_between_db: None,
                     psnr_worst_db: None,
                     nodes: Vec::new(),

@@ -278,7 +278,7 @@ impl Sweep<'_> {
                 self.used.lock().unwrap_or_else(PoisonError::into_inner).insert(name);
                 finished.fetch_add(1, Ordering::Relaxed);
                 let from_before = if kept { ", solved by an earlier sweep" } else { "" };
-                progress.advance(1, &format!("{:.1} dB{from_before}", row.quality_db()));
+                progress.advance(1, &format!("{}{from_before}", row.quality_text()));
                 Ok((row, kept))
             })
             .collect();

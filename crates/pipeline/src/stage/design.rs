@@ -293,21 +293,42 @@ impl<'a> Solver<'a> {
 }
 
 fn node_row(id: &str, times: &[Errors]) -> NodeRow {
-    let cut = |psnr: f64| psnr.min(MOST_DB);
+    // Without rays to score, a PSNR is NaN. Then there is no score.
+    let cut = |psnr: f64| (!psnr.is_nan()).then(|| psnr.min(MOST_DB));
     let all = times.iter().fold(SquaredError::default(), |sum, time| sum.merged(time.target)).psnr();
     let brightness = times.last().map_or(1.0, |time| time.brightness);
     let between = times.iter().filter_map(|time| time.between).reduce(SquaredError::merged).map(SquaredError::psnr);
-    let worst = times.iter().map(|time| time.target.psnr()).fold(f64::INFINITY, f64::min);
+    let worst = times.iter().filter_map(|time| cut(time.target.psnr())).reduce(f64::min);
     // The directions of all time steps have the same weight.
     let directions = times.iter().filter_map(|time| time.zone.as_ref()).flat_map(|zone| &zone.directions);
     let zone = ZoneScore { directions: directions.cloned().collect() };
     NodeRow {
         id: id.into(),
-        psnr_zone_db: zone.psnr().map(cut),
-        psnr_zone_worst_tenth_db: zone.worst_tenth().map(cut),
+        psnr_zone_db: zone.psnr().and_then(cut),
+        psnr_zone_worst_tenth_db: zone.worst_tenth().and_then(cut),
         psnr_view_db: cut(all),
         psnr_raw_db: cut(all - 20.0 * brightness.log10()),
-        psnr_between_db: between.filter(|psnr| !psnr.is_nan()).map(cut),
-        psnr_worst_db: (times.len() > 1).then(|| cut(worst)),
+        psnr_between_db: between.and_then(cut),
+        psnr_worst_db: worst.filter(|_| times.len() > 1),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn errors(target: SquaredError) -> Errors {
+        Errors { target, zone: None, between: Some(SquaredError::default()), brightness: 0.5 }
+    }
+
+    #[test]
+    fn no_scored_ray_is_no_score() {
+        let [none, some] = [SquaredError::default(), SquaredError { sum: 2.0, count: 200 }].map(errors);
+        let row = node_row("a", &[none, errors(SquaredError::default())]);
+        assert_eq!((row.psnr_view_db, row.psnr_raw_db, row.psnr_worst_db), (None, None, None));
+        let row = node_row("a", &[errors(SquaredError::default()), some]);
+        assert_eq!((row.psnr_view_db, row.psnr_worst_db, row.psnr_between_db), (Some(20.0), Some(20.0), None));
+        let exact = node_row("a", &[errors(SquaredError { sum: 0.0, count: 3 })]);
+        assert_eq!((exact.psnr_view_db, exact.psnr_worst_db), (Some(MOST_DB), None));
     }
 }

@@ -152,8 +152,8 @@ mod tests {
         let design = candidate(layers, frames).design;
         Row {
             design,
-            psnr_view_db: psnr,
-            psnr_raw_db: psnr,
+            psnr_view_db: Some(psnr),
+            psnr_raw_db: Some(psnr),
             psnr_zone_db: None,
             psnr_zone_worst_tenth_db: None,
             psnr_between_db: None,
