@@ -580,6 +580,7 @@ def case_digest(folder, zip_path):
     from bl_ext.user_default.lumistack import digest
 
     scene = scenes.diffuse()
+    scenes.every_kind(folder)
     path = folder / "d.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     bpy.ops.wm.open_mainfile(filepath=str(path))
@@ -588,29 +589,82 @@ def case_digest(folder, zip_path):
     assert first == digest.digest(scene)
     bpy.ops.wm.open_mainfile(filepath=str(path))
     assert digest.digest(bpy.context.scene) == first, "the same file gave another digest"
+    scene = bpy.context.scene
     objects, materials = bpy.data.objects, bpy.data.materials
-    nodes = materials["clay"].node_tree.nodes
+    nodes, many = materials["clay"].node_tree.nodes, materials["many"].node_tree.nodes
+    cube, sphere = objects["Cube"].data, objects["Sphere"].data
+    layer = scene.view_layers[0]
 
-    def vertex():
-        objects["Cube"].data.vertices[0].co.x += 0.1
-        objects["Cube"].data.update()
+    def attribute(data, name, kind, value):
+        setattr(data.attributes[name].data[0], kind, value)
+        data.update_tag()
+
+    def shade_edge():
+        sphere.edges[0].use_edge_sharp = True
+        sphere.update()
+
+    def curve_point():
+        many["curves"].mapping.curves[3].points[0].location = (0.0, 0.4)
+        many["curves"].mapping.update()
+        materials["many"].node_tree.update_tag()
+
+    def stroke():
+        points = scenes.stroke_of(objects["pencil"].data)
+        points.foreach_set("vector" if hasattr(points[0], "vector") else "co", [0.5] * 3 * len(points))
+        objects["pencil"].data.update_tag()
 
     changes = {
         "an object moves": lambda: setattr(objects["Cube"], "location", (1.0, 0.0, 0.0)),
-        "a vertex moves": vertex,
+        "a vertex moves": lambda: attribute(cube, "position", "vector", (0.3, 0.3, 0.3)),
+        "smooth faces": lambda: sphere.polygons.foreach_set("use_smooth", [True] * len(sphere.polygons)) or sphere.update(),
+        "a sharp edge": shade_edge,
+        "custom normals": lambda: sphere.normals_split_custom_set_from_vertices([(0.0, 0.0, 1.0)] * len(sphere.vertices)),
+        "a vertex colour": lambda: attribute(cube, "paint", "color", (0.9, 0.1, 0.1, 1.0)),
+        "another attribute": lambda: attribute(cube, "wear", "value", 0.7),
+        "coordinates of a texture": lambda: attribute(cube, "UVMap", "vector", (0.2, 0.1)),
         "a light": lambda: setattr(bpy.data.lights["area"], "energy", 31.0),
+        "a light's settings for Cycles": lambda: setattr(bpy.data.lights["area"].cycles, "max_bounces", 3),
         "a colour": lambda: setattr(nodes["Principled BSDF"].inputs["Base Color"], "default_value", (0.1, 0.2, 0.3, 1.0)),
+        "a point of a curve": curve_point,
+        "a color ramp": lambda: setattr(many["ramp"].color_ramp, "interpolation", "CONSTANT"),
+        "the value of an output": lambda: setattr(many["value"].outputs[0], "default_value", 0.4),
+        "a muted link": lambda: setattr(materials["many"].node_tree.links[0], "is_muted", True),
+        "a picture's colour space": lambda: setattr(bpy.data.images["picture"].colorspace_settings, "name", "Non-Color"),
+        "the mapping of a texture": lambda: setattr(many["image"].texture_mapping, "translation", (0.1, 0.0, 0.0)),
+        "a material of geometry nodes": lambda: setattr(bpy.data.node_groups["paint"].nodes["set"].inputs["Material"], "default_value", materials["clay"]),
+        "points of geometry nodes": lambda: setattr(bpy.data.node_groups["dots"].nodes["points"].inputs["Radius"], "default_value", 0.2),
+        "hair curves": lambda: attribute(objects["curls"].data, "position", "vector", (0.1, 0.1, 0.5)),
+        "a particle system's hair": lambda: setattr(bpy.data.particles[0], "hair_length", 0.5),
+        "a stroke of Grease Pencil": stroke,
         "the world": lambda: scenes.background(0.3),
-        "samples": lambda: setattr(bpy.context.scene.cycles, "samples", 7),
+        "samples": lambda: setattr(scene.cycles, "samples", 7),
         "a modifier": lambda: objects["Cube"].modifiers.new("b", "BEVEL"),
+        "a modifier only in renders": lambda: setattr(objects["Cone"].modifiers["smooth"], "render_levels", 1),
         "hidden in renders": lambda: setattr(objects["Torus"], "hide_render", True),
+        "visible by reflection": lambda: setattr(objects["floor"], "visible_glossy", False),
+        "the compositor": lambda: scenes.compositor(0.5),
+        "a node of the compositor": lambda: scenes.compositor(0.7),
+        "an override of a view layer": lambda: setattr(layer, "material_override", materials["floor"]),
+        "a holdout of a view layer": lambda: setattr(layer.layer_collection.children["kinds"], "holdout", True),
         "a new object": lambda: scenes.add("cube", materials["clay"], size=0.1),
     }
     seen = {first}
     for name, change in changes.items():
         change()
         bpy.context.view_layer.update()
-        found = digest.digest(bpy.context.scene)
+        found = digest.digest(scene)
         assert found not in seen, name
         seen.add(found)
+    # Views do not depend on selections, on the active slot, or on a render that is finished.
+    last = found
+    scene.render.resolution_percentage = 4
+    for same in (
+        lambda: cube.vertices.foreach_set("select", [False] * len(cube.vertices)),
+        lambda: bpy.ops.object.select_all(action="DESELECT"),
+        lambda: setattr(objects["Cube"], "active_material_index", 0),
+        lambda: bpy.ops.render.render(),
+    ):
+        same()
+        bpy.context.view_layer.update()
+        assert digest.digest(scene) == last
     return f"{len(changes)} changes"

@@ -182,3 +182,82 @@ def beyond():
     box = add("cube", smoke, size=0.6, location=(-0.6, -0.6, 0.8))
     box.name = "smoke"
     return scene
+
+
+def every_kind(folder):
+    """Adds, to the scene of `diffuse`, data of every kind that a render reads: attributes, node curves, a
+    picture, geometry nodes, hair, points, and Grease Pencil."""
+    kinds = bpy.data.collections.new("kinds")
+    bpy.context.scene.collection.children.link(kinds)
+
+    def link(name, data):
+        kinds.objects.link(bpy.data.objects.new(name, data))
+        return bpy.data.objects[name]
+
+    # Attributes, and a modifier with another level in renders.
+    bpy.data.objects["Plane"].name = "floor"
+    cube = bpy.data.objects["Cube"].data
+    cube.color_attributes.new("paint", "BYTE_COLOR", "CORNER")
+    cube.attributes.new("wear", "FLOAT", "POINT")
+    bpy.data.objects["Cone"].modifiers.new("smooth", "SUBSURF").levels = 0
+    # A material with curves, a color ramp, a value, and a picture.
+    many = material("many")
+    nodes, links = many.node_tree.nodes, many.node_tree.links
+    for kind, name in (("RGBCurve", "curves"), ("ValToRGB", "ramp"), ("Value", "value"), ("TexImage", "image")):
+        nodes.new(f"ShaderNode{kind}").name = name
+    picture = bpy.data.images.new("picture", 4, 4)
+    picture.filepath_raw, picture.file_format = str(folder / "picture.png"), "PNG"
+    picture.save()
+    nodes["image"].image = picture
+    links.new(nodes["value"].outputs[0], nodes["ramp"].inputs[0])
+    links.new(nodes["ramp"].outputs[0], nodes["curves"].inputs["Color"])
+    links.new(nodes["curves"].outputs[0], nodes["Principled BSDF"].inputs["Base Color"])
+    cube.materials.append(many)
+    # Geometry nodes that set a material, and that make points.
+    for name, owner, node, kind in (("paint", "Torus", "set", "SetMaterial"), ("dots", "Cone", "points", "MeshToPoints")):
+        group = bpy.data.node_groups.new(name, "GeometryNodeTree")
+        group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+        group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+        given, made, result = group.nodes.new("NodeGroupInput"), group.nodes.new(f"GeometryNode{kind}"), group.nodes.new("NodeGroupOutput")
+        made.name = node
+        group.links.new(given.outputs[0], made.inputs[0])
+        group.links.new(made.outputs[0], result.inputs[0])
+        held = link(name, bpy.data.objects[owner].data.copy())
+        held.modifiers.new(name, "NODES").node_group = group
+    bpy.data.node_groups["paint"].nodes["set"].inputs["Material"].default_value = many
+    # Hair as curves and as particles, and a stroke.
+    curls = bpy.data.hair_curves.new("curls")
+    curls.add_curves([3, 3])
+    link("curls", curls)
+    head = link("head", bpy.data.objects["Cone"].data.copy())
+    fur = head.modifiers.new("fur", "PARTICLE_SYSTEM").particle_system.settings
+    fur.type, fur.count, fur.hair_length = "HAIR", 5, 0.25
+    pencils = getattr(bpy.data, "grease_pencils_v3", bpy.data.grease_pencils)
+    pencil = pencils.new("pencil")
+    frame = pencil.layers.new("layer").frames.new(1)
+    if hasattr(frame, "drawing"):
+        frame.drawing.add_strokes([3])
+    else:
+        frame.strokes.new().points.add(3)
+    link("pencil", pencil)
+    bpy.context.view_layer.update()
+
+
+def stroke_of(pencil):
+    """Returns the points of a Grease Pencil's drawing."""
+    frame = pencil.layers[0].frames[0]
+    return frame.drawing.attributes["position"].data if hasattr(frame, "drawing") else frame.strokes[0].points
+
+
+def compositor(value):
+    """Makes the scene's compositor, which sets the picture's brightness to a value."""
+    scene = bpy.context.scene
+    if hasattr(scene, "compositing_node_group"):
+        tree = bpy.data.node_groups.get("compositor") or bpy.data.node_groups.new("compositor", "CompositorNodeTree")
+        scene.compositing_node_group = tree
+    else:
+        scene.use_nodes = True
+        tree = scene.node_tree
+    node = tree.nodes.get("bright") or tree.nodes.new("CompositorNodeBrightContrast")
+    node.name = "bright"
+    node.inputs[1].default_value = value
