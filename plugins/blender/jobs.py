@@ -82,6 +82,14 @@ Step = Render | Wait | Tick
 
 
 @dataclass
+class Patterns:
+    """The patterns of a time step, and the key of everything from which they were made."""
+
+    stack: lumistack.LayerStack
+    key: str
+
+
+@dataclass
 class Shown:
     """The result of a job, for the simulated view."""
 
@@ -145,8 +153,9 @@ class Job:
         finally:
             scene.frame_set(current)
 
-    def _time(self, folder: Path, before: lumistack.LayerStack | None, start: float, part: float):
-        """Makes views, light field, patterns and outputs of one time step."""
+    def _time(self, folder: Path, before: Patterns | None, start: float, part: float):
+        """Makes views, light field, patterns and outputs of one time step, which starts from the patterns
+        `before`. Returns the patterns; None if the job makes none."""
         # Render the views by every renderer; the views of the first renderer are the target.
         scene, settings = self.scene, self.scene.lumistack
         display = display_of(settings)
@@ -171,7 +180,15 @@ class Job:
             return None
         # Keep the patterns of an earlier run if they have the same key.
         iterations = settings_of.quality(settings)[1]
-        key = key_of({"target": hash_of(light_field.radiance), "display": display.to_toml(), "iterations": iterations, "first": before is None})
+        key = key_of(
+            {
+                "target": hash_of(light_field.radiance),
+                "display": display.to_toml(),
+                "iterations": iterations,
+                "before": before and before.key,
+                "version": lumistack.__version__,
+            }
+        )
         stamp = folder / "blender.json"
         kept = kept_patterns(folder, stamp, key)
         output, parameters = settings.output, {} if settings.output == "NONE" else settings_of.output_parameters(scene, settings.output)
@@ -181,7 +198,7 @@ class Job:
             if stack is None:
                 stamp.unlink(missing_ok=True)
                 light_field.save(folder / "target")
-                more = {} if before is None else {"warm_start": before, "solver": "block-exact"}
+                more = {} if before is None else {"warm_start": before.stack, "solver": "block-exact"}
                 updates = iterations if before is None else min(NEXT_ITERATIONS, iterations)
                 begin = time.monotonic()
                 stack = lumistack.factorize(light_field, display, iterations=updates, callback=report, **more)
@@ -202,7 +219,7 @@ class Job:
         beside = between.beside_middle(slope_x), between.beside_middle(slope_y)
         self.said.append(f"{folder.name}: {score.text()}; {folder}")
         shown[scene.name] = Shown(stack, window, folder, score, beside)
-        return stack
+        return Patterns(stack, key)
 
     def _probe(self, folder: Path):
         """Renders at most two views by Blender, or all views at a quarter of the resolution by Lumistack's

@@ -204,7 +204,8 @@ def case_views(folder, zip_path):
 
 
 def case_animation(folder, zip_path):
-    """A range of frames gives one folder per time step. A second run renders only missing views."""
+    """A range of frames gives one folder per time step. A second run renders only missing views. The
+    patterns of a frame are computed again if those of the frame before it have changed."""
     import bpy
     import scenes
 
@@ -224,6 +225,21 @@ def case_animation(folder, zip_path):
     shutil.rmtree(next((out / "t0003").glob("views-*")))
     job = run(scene)
     assert (job.rendered, job.kept) == (2, 4)
+
+    def times():
+        return [(each / "layers/stack.json").stat().st_mtime_ns for each in sorted(out.iterdir())]
+
+    # Only the first frame changes, but the patterns of all later frames begin with its patterns.
+    before = times()
+    for frame, hidden in ((1, True), (2, False)):
+        held.hide_render = hidden
+        held.keyframe_insert("hide_render", frame=frame)
+    job = run(scene)
+    assert (job.rendered, job.kept) == (2, 4)
+    after = times()
+    assert all(new > old for new, old in zip(after, before, strict=True)), (before, after)
+    run(scene)
+    assert times() == after
     return ""
 
 
