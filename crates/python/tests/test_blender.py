@@ -381,6 +381,13 @@ def test_words_become_settings() -> None:
     asked = command_line.parse(["--window-size", "0.5", "--handover", "both", "--renderer", "lumistack"])
     assert asked.settings == {"window_size": 0.5, "handover": "BOTH", "renderer": "LUMISTACK"}
     assert command_line.parse(["--quality", "draft", "--views", "half", "--no-score"]).settings == {"quality": "DRAFT", "views_from": "HALF", "use_score": False}
+    # A distance belongs to eyes, so it selects their projection.
+    for words in (["--distance-mm", "500"], ["--distance-mm", "500", "--grid", "perspective"]):
+        assert command_line.parse(words).settings == {"distance_mm": 500.0, "grid": "PERSPECTIVE"}
+    for grid in ("oblique", "display"):
+        with pytest.raises(command_line.Usage, match=f"--distance-mm: expected --grid perspective, .* found --grid {grid}") as caught:
+            command_line.parse(["--distance-mm", "500", "--grid", grid])
+        assert caught.value.code == 2
     assert command_line.parse([]).settings == {} and command_line.parse([]).what == "make"
     for words in (["bake"], ["--views", "3"], ["--quality", "draft", "--samples", "2"], ["--frames", "5..2"], ["--unknown"]):
         with pytest.raises(command_line.Usage) as caught:
