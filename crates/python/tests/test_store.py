@@ -20,7 +20,7 @@ import pytest
 import lumistack.farm
 from conftest import ROOT
 from lumistack.farm._engine import connected
-from lumistack.farm._store import Run, Store, StoreError
+from lumistack.farm._store import Mirror, Run, Store, StoreError
 from test_farm import BLOCKS, JOB, command, results
 
 pytest.importorskip("distributed")
@@ -118,6 +118,38 @@ def test_a_store_that_cannot_be_used_is_named(tmp_path: Path, job: Path, monkeyp
         lumistack.farm.run(job, tmp_path / "run", send=[tmp_path])
     with pytest.raises(lumistack.farm.FarmError, match="expected a folder to send, found none"):
         lumistack.farm.run(job, tmp_path / "run", store=f"file://{tmp_path}/store", send=[tmp_path / "missing"])
+
+
+def test_a_retry_publishes_the_files_of_the_failed_attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A retry in the same mirror keeps files that the failed attempt finished. They belong to the
+    unit's list, and not to the list of a unit that ran in between."""
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "plan.json").write_text("{}")
+    run = Run(f"file://{tmp_path}/store", "plan")
+    run.begin(tmp_path / "run", [])
+    mirror = Mirror(run)
+
+    def listed(unit: str) -> set[str]:
+        return {entry["path"] for entry in run.store.entries(run.unit(unit)) or ()}
+
+    mirror.take("first", [], [])
+    (mirror.folder / "views").write_text("finished")
+    (mirror.folder / "part").write_text("removed by the retry")
+    mirror.take("other", [], [])
+    (mirror.folder / "other").write_text("done")
+    mirror.publish("other")
+    mirror.take("first", [], [])
+    (mirror.folder / "part").unlink()
+    (mirror.folder / "patterns").write_text("done")
+    # The files also stay if the store fails while they are published.
+    with monkeypatch.context() as broken:
+        broken.setattr(run.store, "put", lambda *_: (_ for _ in ()).throw(StoreError("full")))
+        with pytest.raises(StoreError, match="full"):
+            mirror.publish("first")
+    mirror.take("first", [], [])
+    mirror.publish("first")
+    assert (listed("first"), listed("other")) == ({"views", "patterns"}, {"other"})
+    assert mirror.taken == {"first", "other"}
 
 
 def test_lists_and_files_of_a_store_are_checked(tmp_path: Path) -> None:

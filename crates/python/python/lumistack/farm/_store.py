@@ -195,6 +195,12 @@ class Mirror:
         self.folder.mkdir()
         self.begun = False
         self.taken: set[str] = set()
+        # The unit since its `take`, until its files are published.
+        self.unit: str | None = None
+        self.before: dict[Path, tuple[int, int, int]] = {}
+        # Files of units whose last attempt failed. A retry keeps finished files, so it does not
+        # write them again.
+        self.left: dict[str, set[Path]] = {}
         # The lists of the folders that the client sent, as they were copied.
         self.sent: dict[int, list[dict[str, Any]] | None] = {}
 
@@ -206,13 +212,16 @@ class Mirror:
             cls.known[key] = cls(Run(url, plan))
         return cls.known[key]
 
-    def take(self, needs: list[str], sent: list[str]) -> list[str]:
-        """Copies the files of units into the mirror. Returns the path mappings to the files that the
-        client sent."""
+    def take(self, unit: str, needs: list[str], sent: list[str]) -> list[str]:
+        """Begins an attempt of a unit: copies the files of the units that it needs into the mirror. Returns
+        the path mappings to the files that the client sent."""
+        if self.unit is not None:
+            self.left.setdefault(self.unit, set()).update(self.changed())
+            self.unit = None
         run = self.run
-        new = [unit for unit in needs if unit not in self.taken]
+        new = [need for need in needs if need not in self.taken]
         lists = [] if self.begun else [f"{run.plan}/start.json"]
-        missing = run.store.pull(lists + [run.unit(unit) for unit in new], self.folder)
+        missing = run.store.pull(lists + [run.unit(need) for need in new], self.folder)
         maps = []
         for number, source in enumerate(sent):
             to = self.place / f"sent{number}"
@@ -227,15 +236,20 @@ class Mirror:
             raise StoreError(f"{run.store.url}: expected {missing[0]}, found nothing")
         self.begun = True
         self.taken.update(new)
-        self.before = _states(self.folder)
+        self.before, self.unit = _states(self.folder), unit
         return maps
 
+    def changed(self) -> set[Path]:
+        """Returns the files that were written since the last `take`."""
+        return {path for path, state in _states(self.folder).items() if self.before.get(path) != state}
+
     def publish(self, unit: str) -> None:
-        """Copies the files that changed since `take`, which the unit wrote, to the store."""
-        states = _states(self.folder)
-        changed = [path for path, state in states.items() if self.before.get(path) != state]
-        self.run.store.publish(self.run.unit(unit), self.folder, changed)
+        """Copies the files that the unit wrote to the store: since `take`, and in earlier attempts."""
+        left = {path for path in self.left.get(unit, ()) if path.is_file()}
+        self.run.store.publish(self.run.unit(unit), self.folder, self.changed() | left)
         self.taken.add(unit)
+        self.left.pop(unit, None)
+        self.unit = None
 
 
 def _local_directory() -> str | None:

@@ -107,7 +107,7 @@ def execute(
         return _execute(words, folder, unit, maps, threads)
     try:
         mirror = _store.Mirror.of(store["url"], store["plan"])
-        found = mirror.take(store["needs"], store["sent"])
+        found = mirror.take(unit, store["needs"], store["sent"])
         text = _execute(words, str(mirror.folder), unit, [*maps, *found], threads)
         if json.loads(text)["outcome"] == "done":
             mirror.publish(unit)
