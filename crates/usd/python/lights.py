@@ -135,7 +135,7 @@ def picture(prim, writer, time):
     if not resolved:
         writer.warn(place, "the picture %s does not exist; the light is shown with its colour only" % found.path)
         return None
-    writer.file(resolved.split("[")[0])
+    writer.file(resolved)
     return writer.image(resolved, lambda: materials.image_entry(writer, place, found.path, resolved))
 
 

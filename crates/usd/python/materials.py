@@ -496,7 +496,7 @@ class Graph:
         if not resolved:
             self.writer.warn(attribute.GetPath(), "%s does not exist; the texture's fallback colour is used" % path)
             return None
-        self.writer.file(resolved.split("[")[0])
+        self.writer.file(resolved)
         return self.writer.image(resolved, lambda: self.image_entry(attribute, path, resolved))
 
     def tile(self, attribute, path):
@@ -572,7 +572,7 @@ class Graph:
 def image_entry(writer, place, path, resolved):
     """Returns the entry of a picture: a path on disk, or the bytes of a file in a package."""
     entry = {"place": str(place), "name": path, "path": resolved}
-    if "[" in resolved and resolved.endswith("]"):
+    if Ar.IsPackageRelativePath(resolved):
         entry["path"] = None
         try:
             entry["bytes"] = writer.array(packaged(resolved))
@@ -583,17 +583,16 @@ def image_entry(writer, place, path, resolved):
 
 def packaged(path):
     """Returns the bytes of a file in a package, `package.usdz[file]`; packages may be nested."""
-    outer, inner = path[:-1].split("[", 1)
-    file = outer
+    file, inner = Ar.SplitPackageRelativePathOuter(path)
     while True:
-        name, _, rest = inner.partition("[")
+        name, rest = Ar.SplitPackageRelativePathOuter(inner)
         with zipfile.ZipFile(file) as package:
             found = package.read(name)
         if not rest:
             return found
         import io
 
-        file, inner = io.BytesIO(found), rest.rstrip("]")
+        file, inner = io.BytesIO(found), rest
 
 
 def composed(after, before):

@@ -60,7 +60,7 @@ def walk_stage(stage, request):
     if not request.get("contents_only"):
         Walker(stage, writer, time).run()
     for layer in stage.GetUsedLayers():
-        writer.file(layer.realPath.split("[")[0])
+        writer.file(layer.realPath)
     return writer
 
 

@@ -10,6 +10,8 @@ import json
 import math
 import os
 
+from pxr import Ar
+
 ALIGNMENT = 64
 # type codes of the buffer protocol, for native size and byte order
 TYPES = {"f": "f32", "d": "f64", "e": "f16", "i": "i32", "I": "u32", "b": "i8", "B": "u8", "h": "i16", "H": "u16", "?": "u8"}
@@ -65,7 +67,9 @@ class Writer:
             self.warnings.append({"place": entry[0], "message": entry[1]})
 
     def file(self, path):
-        """Records that the scene depends on a file on disk."""
+        """Records that the scene depends on a file on disk: the file at `path`, or the package that
+        contains it."""
+        path = Ar.SplitPackageRelativePathOuter(path)[0]
         if path and os.path.isfile(path):
             self._files[os.path.abspath(path)] = True
 

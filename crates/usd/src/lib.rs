@@ -77,7 +77,7 @@ pub struct LoadOptions {
 pub struct Loaded {
     /// The scene.
     pub scene: Scene,
-    /// Every layer and texture on disk that was read.
+    /// The scene's own file, and every other layer and texture on disk that was read.
     pub files: Vec<PathBuf>,
 }
 
@@ -98,7 +98,13 @@ pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded
     let request = child::Request { path: name, time_s: *time_s, variants, contents_only: false };
     let answer = child::ask(&request, task.cancel)?;
     let package = answer.package(name)?;
-    let files = package.header.files.iter().map(PathBuf::from).collect();
+    let mut files: Vec<PathBuf> = package.header.files.iter().map(PathBuf::from).collect();
+    // The walker can miss the file itself, for example if OpenUSD resolves its name to another one.
+    // The keys of cached results must contain the file.
+    let own = |file: &Path| std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned());
+    if !files.iter().any(|file| own(file) == own(path)) {
+        files.push(own(path));
+    }
     Ok(Loaded { scene: scene_from_package(name, &package, task)?, files })
 }
 

@@ -70,6 +70,32 @@ def Material "blue" {
 }
 "#;
 
+/// A path may contain brackets, which also separate a package from a file in it.
+#[test]
+fn scenes_in_folders_with_brackets_keep_their_files_and_pictures() {
+    let Some(python) = common::python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let folder = std::fs::canonicalize(folder.path()).unwrap().join("take[2");
+    std::fs::create_dir(&folder).unwrap();
+    let (path, package, picture) = (folder.join("scene].usda"), folder.join("scene[1].usdz"), folder.join("rough.png"));
+    image::RgbaImage::new(3, 2).save(&picture).unwrap();
+    write(&path, &[triangle_at("shown", 0.0, "rel material:binding = </blue>"), BLUE.into()].concat());
+    let pack = "import sys; from pxr import Sdf, UsdUtils; assert UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(sys.argv[1]), sys.argv[2])";
+    let packed = std::process::Command::new(python).args(["-c", pack]).arg(&path).arg(&package).status().unwrap();
+    assert!(packed.success());
+    for (path, files) in [(&path, vec![&path, &picture]), (&package, vec![&package])] {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let loaded = load(path, &LoadOptions::default(), Task::quiet(&warnings, &cancel)).unwrap();
+        let warnings = warnings.take();
+        assert!(warnings.is_empty(), "{warnings:?}");
+        let size = |image: &lumistack_scene::Image| (image.width, image.height);
+        assert_eq!(loaded.scene.images.iter().map(size).collect::<Vec<_>>(), [(3, 2)]);
+        let mut found: Vec<_> = loaded.files.iter().collect();
+        found.sort_by_key(|file| *file != path);
+        assert_eq!(found, files);
+    }
+}
+
 /// Returns the positions of the instances, sorted by x, then y, then z.
 fn places(scene: &Scene) -> Vec<Vec3> {
     let mut places: Vec<Vec3> = scene.instances.iter().map(|i| i.scene_from_mesh.translation.into()).collect();
