@@ -64,10 +64,11 @@ class Skeletons:
         if points is None:
             return None
         points = Vt.Vec3fArray(points)
+        normals = self.of_file(mesh)
         if target.HasBlendShapes():
-            self.blend(query, target, points)
+            normals = self.blend(query, target, points, normals)
         if not target.HasJointInfluences():
-            return points, None
+            return points, normals
         if not query:
             raise ValueError("the shape's skeleton is not valid")
         joints = query.ComputeSkinningTransforms(self.time)
@@ -80,11 +81,12 @@ class Skeletons:
         own = self.of_mesh(query, target, joints, writer)
         if target.IsRigidlyDeformed():
             matrix = target.ComputeSkinnedTransform(joints, self.time)
-            points = Vt.Vec3fArray([matrix.Transform(point) for point in points])
+            # OpenUSD 26.11 returns points in double precision
+            points = Vt.Vec3fArray([Gf.Vec3f(matrix.Transform(point)) for point in points])
         elif not target.ComputeSkinnedPoints(joints, points, self.time):
             raise ValueError("the shape's indices and weights of joints do not fit its points and its skeleton")
         try:
-            return points, self.normals(mesh, target, own, len(points))
+            return points, self.normals(mesh, target, own, len(points), normals)
         except Exception as error:
             writer.warn(prim.GetPath(), "the normals of the shape cannot be posed, so the normals of its polygons are used: %s" % said(error))
             return points, None
@@ -103,26 +105,51 @@ class Skeletons:
             writer.warn(target.GetPrim().GetPath(), "the shape names joints that its skeleton lacks and that do not move: %s" % named)
         return [joints[place[str(name)]] if str(name) in place else Gf.Matrix4d(1) for name in order]
 
-    def blend(self, query, target, points):
+    def of_file(self, mesh):
+        """Returns the file's normals as (interpolation, values). None if the file has none."""
+        normals, interpolation = mesh.GetNormalsAttr().Get(self.time), mesh.GetNormalsInterpolation()
+        primvar = UsdGeom.PrimvarsAPI(mesh).FindPrimvarWithInheritance("normals")
+        if primvar and primvar.HasValue():
+            normals, interpolation = primvar.ComputeFlattened(self.time), primvar.GetInterpolation()
+        return (str(interpolation), Vt.Vec3fArray(normals)) if normals else None
+
+    def blend(self, query, target, points, normals):
+        """Adds the weighted offsets of blend shapes to points. Returns the normals with their own
+        offsets."""
         animation = query.GetAnimQuery() if query else None
         weights = animation.ComputeBlendShapeWeights(self.time) if animation else None
         if weights is None:
-            return
+            return normals
         mapper = target.GetBlendShapeMapper()
         if mapper:
             weights = mapper.Remap(weights)
         shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(target.GetPrim()))
         parts = shapes.ComputeSubShapeWeights(weights)
-        if parts:
-            indices, offsets = shapes.ComputeBlendShapePointIndices(), shapes.ComputeSubShapePointOffsets()
-            shapes.ComputeDeformedPoints(*parts, indices, offsets, points)
+        if not parts:
+            return normals
+        indices = shapes.ComputeBlendShapePointIndices()
+        shapes.ComputeDeformedPoints(*parts, indices, shapes.ComputeSubShapePointOffsets(), points)
+        return self.blended(target, shapes, parts, indices, len(points), normals)
 
-    def normals(self, mesh, target, joints, point_count):
-        """Returns the file's normals, rotated with the points. None if they cannot be rotated."""
-        normals, interpolation = mesh.GetNormalsAttr().Get(self.time), mesh.GetNormalsInterpolation()
-        primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
-        if primvar and primvar.HasValue():
-            normals, interpolation = primvar.ComputeFlattened(self.time), primvar.GetInterpolation()
+    def blended(self, target, shapes, parts, indices, point_count, normals):
+        """Returns normals with the weighted normal offsets of blend shapes, which are offsets of points."""
+        offsets = [Vt.Vec3fArray() for _ in range(shapes.GetNumSubShapes())]
+        for _, shape, part in zip(*parts):
+            between = shapes.GetInbetween(part)
+            offsets[part] = Vt.Vec3fArray((between.GetNormalOffsets() if between else shapes.GetBlendShape(shape).GetNormalOffsetsAttr().Get()) or [])
+        if normals is None or not any(len(each) for each in offsets):
+            return normals
+        changes = Vt.Vec3fArray(point_count)
+        shapes.ComputeDeformedPoints(*parts, indices, offsets, changes)
+        interpolation, values = normals
+        if interpolation == UsdGeom.Tokens.faceVarying:
+            corners = UsdGeom.Mesh(target.GetPrim()).GetFaceVertexIndicesAttr().Get(self.time)
+            changes = Vt.Vec3fArray([changes[corner] for corner in corners])
+        return (interpolation, values + changes) if len(values) == len(changes) else normals
+
+    def normals(self, mesh, target, joints, point_count, normals):
+        """Returns normals, rotated with the points. None if they cannot be rotated."""
+        interpolation, normals = normals or (None, None)
         if not normals or interpolation not in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.faceVarying):
             return None
         indices, weights = target.ComputeVaryingJointInfluences(point_count, self.time)
@@ -135,7 +162,6 @@ class Skeletons:
             return None
         turns = [inverse_transpose(joint) for joint in joints]
         bind = inverse_transpose(target.GetGeomBindTransform(self.time))
-        normals = Vt.Vec3fArray(normals)
         done = UsdSkel.SkinNormals(
             target.GetSkinningMethod(), bind, Vt.Matrix3dArray(turns), Vt.IntArray(indices), Vt.FloatArray(weights), count, normals
         )

@@ -335,6 +335,76 @@ fn meshes_with_joints_of_their_own_are_posed_with_their_normals() {
     }
 }
 
+/// Without joints, a mesh with blend shapes keeps its authored normals, plus the weighted offsets of
+/// the blend shapes.
+#[test]
+fn blend_shapes_move_points_and_authored_normals() {
+    if common::python().is_none() {
+        return;
+    }
+    let text = |interpolation: &str, normals: &str, joints: &str| {
+        let face = TRIANGLE.replace("[0, 1, 2]", "[0, 2, 1]");
+        format!(
+            r#"
+            def SkelRoot "root" (prepend apiSchemas = ["SkelBindingAPI"]) {{
+                rel skel:skeleton = </root/still>
+                def Skeleton "still" (prepend apiSchemas = ["SkelBindingAPI"]) {{
+                    uniform token[] joints = ["one"]
+                    uniform matrix4d[] bindTransforms = [((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))]
+                    uniform matrix4d[] restTransforms = [((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))]
+                    rel skel:animationSource = </root/smile>
+                }}
+                def SkelAnimation "smile" {{
+                    uniform token[] joints = ["one"]
+                    quatf[] rotations = [(1, 0, 0, 0)]
+                    half3[] scales = [(1, 1, 1)]
+                    float3[] translations = [(0, 0, 0)]
+                    uniform token[] blendShapes = ["up", "plain"]
+                    float[] blendShapeWeights = [0.5, 1]
+                }}
+                def Mesh "face" (prepend apiSchemas = ["SkelBindingAPI"]) {{
+                    {face}
+                    normal3f[] normals = {normals} (
+                        interpolation = "{interpolation}"
+                    )
+                    {joints}
+                    uniform token[] skel:blendShapes = ["up", "plain"]
+                    rel skel:blendShapeTargets = [</root/face/up>, </root/face/plain>]
+                    def BlendShape "up" {{
+                        uniform vector3f[] offsets = [(0, 0, 2)]
+                        uniform vector3f[] normalOffsets = [(0, 2, 0)]
+                        uniform int[] pointIndices = [1]
+                    }}
+                    def BlendShape "plain" {{
+                        uniform vector3f[] offsets = [(0, 0, 0), (0, 0, 0), (0, 0, 3)]
+                    }}
+                }}
+            }}"#
+        )
+    };
+    let joint = "int[] primvars:skel:jointIndices = [0] (\n elementSize = 1\n interpolation = \"constant\"\n)\n\
+        float[] primvars:skel:jointWeights = [1] (\n elementSize = 1\n interpolation = \"constant\"\n)";
+    let tilted = (Vec3::X + Vec3::Y).normalize();
+    let each = "[(0, 1, 0), (1, 0, 0), (0, 0, 1)]";
+    let cases = [
+        ("vertex", each, "", [Vec3::Y, tilted, Vec3::Z]),
+        ("vertex", each, joint, [Vec3::Y, tilted, Vec3::Z]),
+        ("faceVarying", "[(0, 1, 0), (0, 0, 1), (1, 0, 0)]", "", [Vec3::Y, tilted, Vec3::Z]),
+        ("uniform", "[(1, 0, 0)]", "", [Vec3::X; 3]),
+    ];
+    for (interpolation, normals, joints, expected) in cases {
+        let scene = scene(&text(interpolation, normals, joints));
+        let mesh = &scene.meshes[0];
+        let points = [Vec3::ZERO, Vec3::new(1.0, 0.0, 1.0), Vec3::new(0.0, 1.0, 3.0)];
+        for (position, normal) in points.into_iter().zip(expected) {
+            let found = mesh.positions.iter().position(|p| (*p - position).length() < 1e-5);
+            let found = found.unwrap_or_else(|| panic!("{interpolation}: {position} in {:?}", mesh.positions));
+            let known = mesh.normals[found];
+            assert!((known - normal).length() < 1e-5, "{interpolation} {joints}: {known} instead of {normal}");
+        }
+    }
+}
+
 #[test]
 fn meshes_that_cannot_be_posed_keep_their_rest_pose_and_are_named() {
     if common::python().is_none() {
