@@ -407,12 +407,7 @@ class Walker:
         indices = instancer.GetProtoIndicesAttr().Get(self.time)
         if not indices:
             return []
-        matrices = instancer.ComputeInstanceTransformsAtTime(
-            self.time,
-            self.time,
-            UsdGeom.PointInstancer.ExcludeProtoXform,
-            UsdGeom.PointInstancer.IgnoreMask,
-        )
+        matrices = placements(instancer, self.time)
         if len(matrices) != len(indices):
             found = "%d prototype indices and %d placements" % (len(indices), len(matrices))
             self.writer.warn(place, "expected as many placements as prototype indices, found %s; the instancer is left out" % found)
@@ -441,6 +436,23 @@ class Walker:
         settings = self.stage.GetRootLayer().customLayerData.get("cameraSettings")
         preferred = settings.get("boundCamera") if isinstance(settings, dict) else None
         self.writer.cameras.sort(key=lambda entry: entry["place"] != preferred)
+
+
+def placements(instancer, time):
+    """Returns the matrices of all copies of a point instancer. Velocities are not read."""
+    motion = instancer.GetVelocitiesAttr(), instancer.GetAccelerationsAttr(), instancer.GetAngularVelocitiesAttr()
+    if any(attribute.HasAuthoredValue() for attribute in motion):
+        # OpenUSD adds velocity · time to the positions of a sample, so copy all other attributes. The
+        # variable keeps the copy's stage until the end of this function.
+        stage = Usd.Stage.CreateInMemory()
+        still = UsdGeom.PointInstancer.Define(stage, "/still")
+        for name in ("protoIndices", "positions", "orientations", "orientationsf", "scales"):
+            source, copy = (held.GetPrim().GetAttribute(name) for held in (instancer, still))
+            found = source.Get(time) if source else None
+            if found is not None and copy:
+                copy.Set(found)
+        instancer, time = still, Usd.TimeCode.Default()
+    return instancer.ComputeInstanceTransformsAtTime(time, time, UsdGeom.PointInstancer.ExcludeProtoXform, UsdGeom.PointInstancer.IgnoreMask)
 
 
 def extended(links, matrix):

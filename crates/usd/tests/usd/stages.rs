@@ -219,6 +219,26 @@ fn point_instancers_place_scale_turn_and_mask() {
     assert_eq!(scene.meshes.len(), 2);
 }
 
+/// The stage has no start time code, so the time of the first sample is unknown here.
+#[test]
+fn velocities_of_point_instancers_have_no_effect() {
+    if common::python().is_none() {
+        return;
+    }
+    let text = format!(
+        "def PointInstancer \"p\" {{\n rel prototypes = </p/a>\n int[] protoIndices = [0, 0]\n\
+         point3f[] positions.timeSamples = {{ 12: [(0, 0, 0), (10, 0, 0)], 36: [(2, 0, 0), (14, 0, 0)] }}\n\
+         vector3f[] velocities.timeSamples = {{ 12: [(9, 9, 9), (9, 9, 9)], 36: [(9, 9, 9), (9, 9, 9)] }}\n\
+         float3[] scales = [(1, 1, 1), (2, 2, 2)]\n {} }}",
+        triangle_at("a", 1.0, "")
+    );
+    for (time_s, expected) in [(None, [1.0, 12.0]), (Some(1.0), [2.0, 14.0]), (Some(9.0), [3.0, 16.0])] {
+        let scene = scene_with(&text, &LoadOptions { time_s, ..LoadOptions::default() });
+        let expected = expected.map(|x| x * Vec3::X);
+        assert_eq!(places(&scene), expected, "{time_s:?}");
+    }
+}
+
 #[test]
 fn nested_point_instancers_multiply() {
     if common::python().is_none() {
