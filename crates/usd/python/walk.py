@@ -442,8 +442,8 @@ def placements(instancer, time):
     """Returns the matrices of all copies of a point instancer. Velocities are not read."""
     motion = instancer.GetVelocitiesAttr(), instancer.GetAccelerationsAttr(), instancer.GetAngularVelocitiesAttr()
     if any(attribute.HasAuthoredValue() for attribute in motion):
-        # OpenUSD adds velocity · time to the positions of a sample, so copy all other attributes. The
-        # variable keeps the copy's stage until the end of this function.
+        # OpenUSD adds velocity · time to the positions of a sample, so copy all other attributes.
+        # The variable keeps the copy's stage until the end of this function.
         stage = Usd.Stage.CreateInMemory()
         still = UsdGeom.PointInstancer.Define(stage, "/still")
         for name in ("protoIndices", "positions", "orientations", "orientationsf", "scales"):

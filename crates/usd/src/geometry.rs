@@ -44,20 +44,18 @@ impl Geometry {
     }
 }
 
+#[cfg(test)]
 impl Geometry {
+    /// Returns the positions of the three corners of every triangle.
+    pub(crate) fn corners(&self) -> impl Iterator<Item = [glam::DVec3; 3]> + Clone {
+        self.triangles.iter().map(|triangle| triangle.map(|i| self.positions[i as usize].as_dvec3()))
+    }
+
     /// Returns the area of all triangles together.
     pub(crate) fn area(&self) -> f64 {
         self.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length()).sum()
     }
 
-    /// Returns the positions of the three corners of every triangle.
-    pub(crate) fn corners(&self) -> impl Iterator<Item = [glam::DVec3; 3]> + Clone {
-        self.triangles.iter().map(|triangle| triangle.map(|i| self.positions[i as usize].as_dvec3()))
-    }
-}
-
-#[cfg(test)]
-impl Geometry {
     /// Returns the enclosed volume, by the divergence theorem. It is positive if triangles are
     /// counter-clockwise seen from outside.
     pub(crate) fn volume(&self) -> f64 {

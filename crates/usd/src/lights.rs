@@ -186,7 +186,8 @@ impl Lights {
             other => return task.warn(&entry.place, format!("the light {other} is not supported and is left out")),
         };
         let is_sphere = entry.kind == "sphere";
-        let [flat_area, scene_area] = [DAffine3::IDENTITY, *scene_from_light].map(|matrix| area(&geometry, &matrix));
+        let [flat_area, scene_area] = [DAffine3::IDENTITY, *scene_from_light]
+            .map(|matrix| area(&geometry.positions, &geometry.triangles, &matrix));
         let missing = if flat_area > 0.0 { f64::from(true_area) / flat_area } else { 1.0 };
         let scene_area = (scene_area * missing) as f32;
         let given = Vec3::from(entry.radiance);
@@ -251,8 +252,9 @@ impl Lights {
 
 /// Returns a copy of a material with the emission of a mesh that is a light (`MeshLightAPI`). With
 /// "materialGlowTintsLight" the material's own emission, if any, tints the light. With
-/// "noMaterialResponse" the material reflects nothing. `area` is the mesh's area in the scene.
-/// `None` if the entry cannot be read, or if the radiance is 0 or not finite.
+/// "noMaterialResponse" the material reflects nothing. `area` is the area of the whole mesh in the
+/// scene, which has an effect only if the light [`is_normalized`]. `None` if the entry cannot be
+/// read, or if the radiance is 0 or not finite.
 pub(crate) fn emissive(entry: &serde_json::Value, material: &Material, area: f32) -> Option<Material> {
     let entry: MeshEntry = serde_json::from_value(entry.clone()).ok()?;
     let mut radiance = Vec3::from(entry.radiance);
@@ -283,6 +285,12 @@ pub(crate) fn emissive(entry: &serde_json::Value, material: &Material, area: f32
     Some(emissive)
 }
 
+/// Returns true if the radiance of a mesh that is a light is divided by the mesh's area in the
+/// scene.
+pub(crate) fn is_normalized(entry: &serde_json::Value) -> bool {
+    serde_json::from_value::<MeshEntry>(entry.clone()).is_ok_and(|entry| entry.normalize)
+}
+
 /// The emission of a mesh that is a light, in the form in which the walker (Python) writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
@@ -300,10 +308,10 @@ fn rotation(matrix: &DAffine3) -> DQuat {
     DQuat::from_mat3(&DMat3::from_cols(y.cross(z), y, z))
 }
 
-/// Returns the area of a geometry after the affine map `matrix`.
-fn area(geometry: &Geometry, matrix: &DAffine3) -> f64 {
-    let at = |i: u32| matrix.transform_point3(geometry.positions[i as usize].as_dvec3());
-    geometry.triangles.iter().map(|&[a, b, c]| 0.5 * (at(b) - at(a)).cross(at(c) - at(a)).length()).sum()
+/// Returns the area of triangles after the affine map `matrix`.
+pub(crate) fn area(positions: &[Vec3], triangles: &[[u32; 3]], matrix: &DAffine3) -> f64 {
+    let at = |i: u32| matrix.transform_point3(positions[i as usize].as_dvec3());
+    triangles.iter().map(|&[a, b, c]| 0.5 * (at(b) - at(a)).cross(at(c) - at(a)).length()).sum()
 }
 
 fn sphere(radius: f32) -> Geometry {

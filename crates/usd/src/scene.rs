@@ -26,6 +26,10 @@ use crate::{mesh, refine, shapes, splats};
 /// Largest number of instances of meshes and clouds. Nested copies in a small file could request
 /// any number, so the number is limited.
 const MOST_INSTANCES: usize = 1 << 26;
+/// Relative difference of areas at which copies of a light with `normalize` get different radiance.
+const AREA_STEP: f64 = 1e-3;
+/// Largest relative deviation of a matrix from a rotation with a uniform scale.
+const UNIFORM: f64 = 1e-6;
 /// Albedo of a surface without a material and without a display colour, as in UsdPreviewSurface.
 const GREY: f32 = 0.18;
 
@@ -75,6 +79,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
         plain: HashMap::new(),
         one_sided: HashMap::new(),
         shown: HashMap::new(),
+        lit: HashMap::new(),
     };
     let mut textures = Textures::new(package, task);
     assembly.load_materials(&mut textures)?;
@@ -130,6 +135,20 @@ struct Assembly<'a> {
     one_sided: HashMap<usize, usize>,
     /// Indices of the meshes or of the cloud of a shape. The key is the shape and its materials.
     shown: HashMap<(usize, Vec<Option<usize>>), Vec<usize>>,
+    /// The lights with `normalize` among the shapes in `shown`. The key is the first mesh of the
+    /// shape.
+    lit: HashMap<usize, Lit>,
+}
+
+/// The meshes of a light with `normalize`. The radiance of a copy depends on its area in the scene.
+struct Lit {
+    /// Area of all meshes together, before they are placed.
+    area: f64,
+    /// The materials of the meshes without the light's emission.
+    materials: Vec<usize>,
+    /// Meshes with the emission for an area. The key is the logarithm of this area, in steps of
+    /// `AREA_STEP`.
+    of_area: HashMap<i64, Vec<usize>>,
 }
 
 impl<'a> Assembly<'a> {
@@ -259,6 +278,10 @@ impl<'a> Assembly<'a> {
         }
         // Add an instance for every combination of one matrix from each link.
         let is_cloud = matches!(shape, Shape::Splats(_));
+        let light = match shape {
+            Shape::Mesh(entry) => entry.light.as_ref().filter(|light| lights::is_normalized(light)),
+            _ => None,
+        };
         let mut left_out = 0;
         expand(scene_from_stage, &links, &mut |scene_from_shape| {
             let scene_from_mesh = scene_from_shape.as_affine3a();
@@ -268,13 +291,52 @@ impl<'a> Assembly<'a> {
                 let placed = shown.iter().map(|&cloud| PlacedCloud { cloud, scene_from_cloud: scene_from_mesh });
                 self.parts.placed_clouds.extend(placed);
             } else {
-                self.parts.instances.extend(shown.iter().map(|&mesh| Instance { mesh, scene_from_mesh }));
+                let lit = light.map(|light| self.lit(light, &shown, &scene_from_shape));
+                let meshes = lit.as_ref().unwrap_or(&shown);
+                self.parts.instances.extend(meshes.iter().map(|&mesh| Instance { mesh, scene_from_mesh }));
             }
         });
         if left_out > 0 {
             self.task.warn(place, format!("copies with a placement that is not finite are left out: {left_out}"));
         }
         Ok(())
+    }
+
+    /// Returns the meshes of a copy of a light with `normalize`, with the emission for the copy's
+    /// area. For the first area these are the meshes `shown`, for other areas new meshes.
+    fn lit(&mut self, light: &serde_json::Value, shown: &[usize], scene_from_mesh: &DAffine3) -> Vec<usize> {
+        let parts = &mut self.parts;
+        let area = |matrix: &DAffine3| -> f64 {
+            let meshes = shown.iter().map(|&mesh| &parts.meshes[mesh]);
+            meshes.map(|mesh| lights::area(&mesh.positions, &mesh.triangles, matrix)).sum()
+        };
+        let lit = self.lit.entry(shown[0]).or_insert_with(|| Lit {
+            area: area(&DAffine3::IDENTITY),
+            materials: shown.iter().map(|&mesh| parts.meshes[mesh].material).collect(),
+            of_area: HashMap::new(),
+        });
+        // Only a scale that is not uniform needs the area of every triangle.
+        let area =
+            uniform_scale(scene_from_mesh).map_or_else(|| area(scene_from_mesh), |scale| lit.area * scale * scale);
+        let step = (area.ln() / AREA_STEP).round() as i64;
+        if let Some(known) = lit.of_area.get(&step) {
+            return known.clone();
+        }
+        let is_first = lit.of_area.is_empty();
+        let mut numbers = shown.to_vec();
+        for (number, &plain) in numbers.iter_mut().zip(&lit.materials) {
+            if !is_first {
+                parts.meshes.push(parts.meshes[*number].clone());
+                *number = parts.meshes.len() - 1;
+            }
+            parts.meshes[*number].material = plain;
+            if let Some(emissive) = lights::emissive(light, &parts.materials[plain], area as f32) {
+                parts.materials.push(emissive);
+                parts.meshes[*number].material = parts.materials.len() - 1;
+            }
+        }
+        lit.of_area.insert(step, numbers.clone());
+        numbers
     }
 
     /// Converts a field of splats to a cloud. `None` if it has no splats, or after a warning if its
@@ -388,8 +450,9 @@ impl<'a> Assembly<'a> {
                 geometry.colors.clear();
             }
             let mut material = material;
-            if let Some(light) = &entry.light
-                && let Some(emissive) = lights::emissive(light, &self.parts.materials[material], geometry.area() as f32)
+            // `place` adds the emission of a light with `normalize`, since it depends on the copy.
+            if let Some(light) = entry.light.as_ref().filter(|light| !lights::is_normalized(light))
+                && let Some(emissive) = lights::emissive(light, &self.parts.materials[material], 1.0)
             {
                 self.parts.materials.push(emissive);
                 material = self.parts.materials.len() - 1;
@@ -460,6 +523,14 @@ impl<'a> Assembly<'a> {
         });
         (material, varies)
     }
+}
+
+/// Returns the factor by which a matrix scales lengths; `None` if it depends on the direction.
+fn uniform_scale(matrix: &DAffine3) -> Option<f64> {
+    let [x, y, z] = [matrix.matrix3.x_axis, matrix.matrix3.y_axis, matrix.matrix3.z_axis];
+    let square = x.length_squared();
+    let deviations = [y.length_squared() - square, z.length_squared() - square, x.dot(y), y.dot(z), z.dot(x)];
+    deviations.iter().all(|deviation| deviation.abs() <= UNIFORM * square).then(|| square.sqrt())
 }
 
 /// Makes a material with this base colour. Its other values are the defaults of UsdPreviewSurface.

@@ -68,6 +68,7 @@ fn sample() -> (Value, Vec<u8>) {
                 {"name": "normals", "interpolation": "vertex", "values": buffers.floats(3, &[0.0, 0.0, 1.0].repeat(6))},
             ],
             "subsets": [{"place": "/a/right", "faces": buffers.integers(&[1])}],
+            "light": {"radiance": [1.0, 1.0, 1.0], "normalize": true, "sync": "independent"},
         }],
         "instances": [{"geometry": 0, "materials": [null, null], "chain": [
             {"matrices": buffers.matrices(&[[0.; 3], [1.; 3], [2.; 3], [3.; 3], [4.; 3]]),

@@ -408,6 +408,59 @@ fn lights_have_the_radiance_of_their_inputs() {
     assert_eq!(scene.environment.unwrap().strength, Vec3::splat(0.5));
 }
 
+/// With `normalize`, the radiance of a mesh is divided by its area in the scene. This is the area
+/// of all its subsets together, after the scale of each copy.
+#[test]
+fn mesh_lights_are_normalized_by_their_area_in_the_scene() {
+    let lamp = |name: &str, more: &str| {
+        format!(
+            r#"def Mesh "{name}" (prepend apiSchemas = ["MeshLightAPI", "MaterialBindingAPI"]) {{
+                point3f[] points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0), (2, 1, 0)]
+                int[] faceVertexCounts = [4, 4]
+                int[] faceVertexIndices = [0, 1, 2, 3, 1, 4, 5, 2]
+                uniform token subdivisionScheme = "none"
+                float inputs:intensity = 8
+                bool inputs:normalize = 1
+                {more}
+                def GeomSubset "right" {{
+                    uniform token elementType = "face"
+                    uniform token familyName = "materialBind"
+                    int[] indices = [1]
+                }}
+            }}
+            "#
+        )
+    };
+    let scale = "float3 xformOp:scale = (2, 1, 1)\n uniform token[] xformOpOrder = [\"xformOp:scale\"]";
+    let copies = r#"
+            rel prototypes = </copies/small>
+            int[] protoIndices = [0, 0, 0, 0]
+            point3f[] positions = [(0, 0, 0), (9, 0, 0), (18, 0, 0), (27, 0, 0)]
+            float3[] scales = [(1, 1, 1), (3, 3, 3), (1, 1, 1), (1, 2, 7)]"#;
+    let text = format!("def PointInstancer \"copies\" {{ {copies}\n {} }}\n{}", lamp("small", ""), lamp("wide", scale));
+    let Some((scene, warnings)) = scene(&text) else { return };
+    assert!(warnings.is_empty(), "{warnings:?}");
+    let mut found: Vec<(f32, bool, f32)> = Vec::new();
+    for instance in &scene.instances {
+        let mesh = &scene.meshes[instance.mesh];
+        let place = instance.scene_from_mesh.translation.x;
+        found.push((place, mesh.place.ends_with("wide"), scene.materials[mesh.material].emission.x));
+    }
+    found.sort_by(|a, b| a.partial_cmp(b).unwrap());
+    // both parts of a mesh have one radiance
+    let expected =
+        [(0.0, false, 4.0), (0.0, true, 2.0), (9.0, false, 4.0 / 9.0), (18.0, false, 4.0), (27.0, false, 2.0)];
+    assert_eq!(found.len(), 2 * expected.len(), "{found:?}");
+    for (pair, expected) in found.chunks(2).zip(expected) {
+        for part in pair {
+            assert_eq!((part.0, part.1), (expected.0, expected.1));
+            assert!((part.2 / expected.2 - 1.0).abs() < 1e-5, "{part:?} instead of {expected:?}");
+        }
+    }
+    // the first and third copy share their meshes, and every mesh has an instance
+    assert_eq!(scene.meshes.len(), 8);
+}
+
 #[test]
 fn shapes_other_than_meshes_are_there() {
     let text = r#"

@@ -355,8 +355,8 @@ fn meshes_with_joints_of_their_own_are_posed_with_their_normals() {
     }
 }
 
-/// Without joints, a mesh with blend shapes keeps its authored normals, plus the weighted offsets of
-/// the blend shapes.
+/// Without joints, a mesh with blend shapes keeps its authored normals, plus the weighted offsets
+/// of the blend shapes.
 #[test]
 fn blend_shapes_move_points_and_authored_normals() {
     if common::python().is_none() {
