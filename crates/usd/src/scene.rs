@@ -481,17 +481,23 @@ impl<'a> Assembly<'a> {
         let faces = entry.counts.as_ref().and_then(|counts| counts.shape.first().copied()).unwrap_or(0);
         let mut slots = vec![0; faces.min(self.package.buffers.iter().map(|buffer| buffer.len()).max().unwrap_or(0))];
         for (number, subset) in (1..).zip(&entry.subsets) {
+            // A subset of a changed mesh may list a million faces that the mesh lacks.
+            let mut missing = Vec::new();
             for face in self.package.integers(&subset.faces, &subset.place)? {
                 match usize::try_from(face).ok().and_then(|face| slots.get_mut(face)) {
                     Some(slot) if *slot == 0 => *slot = number,
                     Some(_) => {}
-                    None => self.task.warn(
-                        &subset.place,
-                        format!(
-                            "the subset lists face {face}, which the mesh lacks; the subset is used without this face"
-                        ),
-                    ),
+                    None => missing.push(face),
                 }
+            }
+            if let Some(first) = missing.first() {
+                let (count, most) = (missing.len(), slots.len());
+                self.task.warn(
+                    &subset.place,
+                    format!(
+                        "expected indices of faces below {most}, found others, such as {first}; the subset is used without these faces (count: {count})"
+                    ),
+                );
             }
         }
         Ok(Some(slots))

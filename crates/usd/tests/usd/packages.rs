@@ -102,6 +102,26 @@ fn a_package_becomes_a_scene() {
     assert_eq!(scene.cameras[0].focus_distance, Some(2.0));
 }
 
+/// A subset of an older mesh may list many faces that the mesh lacks.
+#[test]
+fn faces_that_a_mesh_lacks_are_one_warning() {
+    let (mut header, mut data) = sample();
+    let faces: Vec<i32> = (1..1000).chain([-4]).collect();
+    header["buffers"].as_array_mut().unwrap().push(json!([data.len(), 4 * faces.len()]));
+    data.extend(faces.iter().flat_map(|face| face.to_le_bytes()));
+    let buffer = header["buffers"].as_array().unwrap().len() - 1;
+    header["geometries"][0]["subsets"][0]["faces"] = json!({"buffer": buffer, "type": "i32", "shape": [faces.len()]});
+    let bytes = file(&header, &data);
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let package = Package::parse(&bytes).unwrap();
+    let scene = scene_from_package("sample", &package, Task::quiet(&warnings, &cancel)).unwrap();
+    assert_eq!(scene.meshes.len(), 2);
+    let said: Vec<_> = warnings.take().into_iter().filter(|warning| warning.place.ends_with("/a/right")).collect();
+    assert_eq!(said.len(), 1, "{said:?}");
+    let expected = "expected indices of faces below 2, found others, such as 2; the subset is used without these faces (count: 999)";
+    assert_eq!(said[0].message, expected);
+}
+
 /// Replaces every value of the header by wrong values, one replacement per package.
 #[test]
 fn numbers_that_lie_do_no_harm() {
