@@ -263,8 +263,8 @@ fn one_view(path: &Path) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// A row has the score that a run of the job has, with the job's weights. A display file of a node is
-/// read again if it changes, and rows do not have a warm start.
+/// A row has the score that a run of the job has, with the job's weights. A display file of a node
+/// is read again if it changes, and rows do not have a warm start.
 #[test]
 fn a_sweep_solves_as_a_run_does() {
     let folder = tempfile::tempdir().unwrap();

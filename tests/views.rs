@@ -186,7 +186,10 @@ fn some_views_are_those_of_the_whole() {
     succeed(&mut still_life(&at("two"), &["--linear"]));
     assert!(files(&at("two")) == files(&at("all")));
     let text = fail(&mut still_life(&at("two"), &["--only-views", "5,0"]));
-    assert!(text.contains("--only-views: expected a row from 0 to 4 (the views have 5 rows and 5 columns), found 5"), "{text}");
+    assert!(
+        text.contains("--only-views: expected a row from 0 to 4 (the views have 5 rows and 5 columns), found 5"),
+        "{text}"
+    );
     let text = fail(&mut still_life(&at("two"), &["--only-views", "0,0", "--denoise", "guided"]));
     assert!(text.contains("`--denoise off`"), "{text}");
 }

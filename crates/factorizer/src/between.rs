@@ -76,8 +76,8 @@ pub(crate) struct Scratch {
     windows: Windows,
     /// For each row of rays, the index at which its entries end in the list of rows to prefetch.
     ahead: Vec<usize>,
-    /// For each factor k, the smallest and the largest difference over all rays: the column that a
-    /// ray reads in factor k, minus the column that it reads in the factor under update.
+    /// For each factor k, the smallest and the largest difference over all rays. The difference of
+    /// a ray is its column in factor k, minus its column in the factor under update.
     spread: Vec<[isize; 2]>,
     /// The sums for the pixels of a part of the line under update, `[quantity][column]`.
     low: Aligned,
@@ -121,8 +121,8 @@ impl Scratch {
     }
 }
 
-/// Returns, for each factor k, the smallest and the largest difference over all rays: the column
-/// that a ray reads in factor k, minus the column that it reads in factor `n`.
+/// Returns, for each factor k, the smallest and the largest difference over all rays. The difference
+/// of a ray is its column in factor k, minus its column in factor `n`.
 fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     let distances = |k: usize| {
         let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);

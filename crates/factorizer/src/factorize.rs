@@ -370,8 +370,8 @@ impl Ongoing {
 /// iterations.
 ///
 /// The lead of 1 dB was tested on a plane of waves and on a striped card, which moved by 0 to 20 of
-/// 64 pixels. There were 5 × 3 views and 4 frames. A start that led by 1 dB after one iteration was never more
-/// than 1.4 dB behind after five.
+/// 64 pixels. There were 5 × 3 views and 4 frames. A start that led by 1 dB after one iteration was
+/// never more than 1.4 dB behind after five.
 ///
 /// # Errors
 /// If the problem, the settings or the warm start are unusable, or when cancelled.

@@ -25,9 +25,9 @@ pub enum StartKind {
     /// Neighbouring rays then see nearly the same values, so the first updates need not smooth the
     /// patterns.
     Smooth,
-    /// Level times smooth noise; each frame has its own noise. A pixel's level is the value at which N
-    /// equal factors emit the mean of βL over the pixel's rays. If layers attenuate, it is the N-th
-    /// root of the mean.
+    /// Level times smooth noise; each frame has its own noise. A pixel's level is the value at
+    /// which N equal factors emit the mean of βL over the pixel's rays. If layers attenuate, it is
+    /// the N-th root of the mean.
     Content,
 }
 

@@ -158,8 +158,8 @@ impl Target {
     /// Returns the target at a coarser resolution: means over fine pixels, for the given views.
     ///
     /// `pixels` = [rows, columns] has, for each coarse row and each coarse column, the shares of
-    /// three fine rows or columns. Means of half floats are stored as half floats too, since only a start depends
-    /// on the means.
+    /// three fine rows or columns. Means of half floats are stored as half floats too, since only a
+    /// start depends on the means.
     pub(crate) fn averaged(&self, functions: &RowFunctions, views: &[usize], pixels: &[Vec<Cover>; 2]) -> Self {
         let [rows, cols] = [&pixels[0], &pixels[1]];
         let (stride, fine_cols) = (PAD + cols.len() + PAD, self.stride - 2 * PAD);

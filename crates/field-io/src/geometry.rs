@@ -162,8 +162,8 @@ pub(crate) fn pick(available: usize, count: usize) -> Vec<usize> {
     (0..count).map(|index| first + index * stride).collect()
 }
 
-/// Resolves the geometry of a light field. The file has `views` = [rows, columns] of views, of which
-/// the rows `picks[0]` and the columns `picks[1]` are kept.
+/// Resolves the geometry of a light field. The file has `views` = [rows, columns] of views, of
+/// which the rows `picks[0]` and the columns `picks[1]` are kept.
 pub(crate) fn resolve(
     path: &Path,
     flags: &GeometryFlags,

@@ -7,10 +7,12 @@
 //! ```
 //!
 //! L is the given light field and L' the result. x is a pixel, and s_i and s_j are the slopes of
-//! views i and j. δs, per
-//! axis, is [`Display::angular_footprint`](lumistack_display::Display::angular_footprint).
+//! views i and j. Both widths are per axis:
 //!
-//! Δs is the step of the given views per axis. A view represents a bin of slopes of width Δs.
+//! * δs is [`angular_footprint`](lumistack_display::Display::angular_footprint).
+//! * Δs is the step of the given views.
+//!
+//! A view represents a bin of slopes of width Δs.
 //! Footprints of at most one bin have no effect, since radiance between the views is unknown.
 //!
 //! With more views the result approaches the result of the path tracer's `angular_filter =

@@ -6,10 +6,10 @@
 //! Burley 2020, "Practical Hash-based Owen Scrambling").
 //!
 //! Scrambling at every draw costs more than tracing, so each view makes a bank of [`PATTERNS`]
-//! scrambled sequences once. Each draw picks a pattern and flips bits of the sample's index and of the values,
-//! by a hash of (pixel, pair). So a draw costs one hash and one load. Flipping keeps every
-//! sequence's stratification (Kollig, Keller 2002) and makes each point uniform. Hence the estimate
-//! is unbiased.
+//! scrambled sequences once. Each draw picks a pattern and flips bits of the sample's index and of
+//! the values, by a hash of (pixel, pair). So a draw costs one hash and one load. Flipping keeps
+//! every sequence's stratification (Kollig, Keller 2002) and makes each point uniform. Hence the
+//! estimate is unbiased.
 
 use lumistack_core::seed;
 

@@ -36,7 +36,7 @@ pub fn render_views(
         return Err(PipelineError::job("scene", "a scene to render", "none"));
     };
     let mut job = job.clone();
-    // Of a sequence, only the first time step is rendered.
+    // A sequence is rendered at its first time step.
     job.pose = times::first_pose(&job);
     if !options.only.is_empty() && job.render.denoise == Denoise::Auto {
         // A denoiser needs all views, but the options may select only some.

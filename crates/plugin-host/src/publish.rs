@@ -112,8 +112,8 @@ fn merge(staging: &Staging, files: &[String]) -> Result<(), HostError> {
             return Err(HostError::Io { path: target, doing: "replace", source: io::ErrorKind::IsADirectory.into() });
         }
     }
-    // Some disks do not distinguish upper and lower case. There a stale file whose name differs only
-    // in case is the new file.
+    // Some disks do not distinguish upper and lower case. There a stale file whose name differs
+    // only in case is the new file.
     let new: BTreeSet<String> = files.iter().map(|file| file.to_lowercase()).collect();
     let stale: Vec<String> =
         earlier_files(out_dir).into_iter().filter(|file| !new.contains(&file.to_lowercase())).collect();

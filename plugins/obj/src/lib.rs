@@ -132,9 +132,9 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<M
     each.flatten().collect()
 }
 
-/// Finds the picture of a map: relative to the folder of the MTL file `mtl`, or else to the folder of
-/// the OBJ file. Returns the map with the picture's path relative to the OBJ file. A missing picture
-/// causes a warning, and the material has no map.
+/// Finds the picture of a map: relative to the folder of the MTL file `mtl`, or else to the folder
+/// of the OBJ file. Returns the map with the picture's path relative to the OBJ file. A missing
+/// picture causes a warning, and the material has no map.
 fn found_map(host: &Host, assets: &Assets<'_>, mtl: &str, map: Map) -> Option<Map> {
     let own = forward(Path::new(&map.file));
     let beside = mtl.rsplit_once('/').map(|(folder, _)| format!("{folder}/{own}"));
@@ -150,7 +150,8 @@ fn found_map(host: &Host, assets: &Assets<'_>, mtl: &str, map: Map) -> Option<Ma
     None
 }
 
-/// Warns if only some faces of a mesh have normals or texture coordinates, which the mesh then lacks.
+/// Warns if only some faces of a mesh have normals or texture coordinates, which the mesh then
+/// lacks.
 fn warn_of_missing(host: &Host, models: &[tobj::Model]) {
     for tobj::Model { mesh, name } in models {
         let vertices = mesh.positions.len() / 3;

@@ -120,7 +120,10 @@ fn what_does_not_fit_is_named() {
     let mut owned = Owned::constant(display([6, 4], [3, 2], &[0.0], 2), 0.5);
     let other = LayerStack::filled(&display([6, 5], [3, 2], &[0.0], 2), 0.5);
     let text = message(&owned, &iterations(1), Some(&other));
-    assert_eq!(text, "starting patterns: shape [frame][row][col][rgb] of layer 0: expected [2, 4, 6, 3], found [2, 5, 6, 3]");
+    assert_eq!(
+        text,
+        "starting patterns: shape [frame][row][col][rgb] of layer 0: expected [2, 4, 6, 3], found [2, 5, 6, 3]"
+    );
     let unknown = Settings { solver: "fastest".into(), ..iterations(1) };
     assert_eq!(
         message(&owned, &unknown, None),

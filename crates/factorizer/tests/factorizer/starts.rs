@@ -102,7 +102,8 @@ fn the_start_that_is_taken_is_not_the_worse_one() {
         ),
     ];
     for (number, (make, moves)) in cases.into_iter().enumerate() {
-        // compare both starts after five iterations; the warm start is a solution for unmoved content
+        // compare both starts after five iterations; the warm start is a solution for unmoved
+        // content
         let before = make(0.0, 0.0);
         let warm = factorize(&before.problem(), &settings("auto", 30), None, task, &mut |_| ()).unwrap().stack;
         for (shift, scene, expected) in moves {

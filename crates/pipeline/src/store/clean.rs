@@ -17,8 +17,8 @@ use super::names::is_ours;
 use super::used::{TILES, USED, Used, all_views, unused_in, unused_views};
 use crate::error::PipelineError;
 
-/// Kinds of small files that cache the placement of the window, and the measured number of paths. No
-/// other result depends on these files.
+/// Kinds of small files that cache the placement of the window, and the measured number of paths.
+/// No other result depends on these files.
 const PLACED: [&str; 5] = ["side", "window", "fit", "focus", "samples"];
 
 /// Files that `lumistack clean` removed, or would remove.

@@ -91,8 +91,8 @@ fn choose_views<'a>(job: &mut Job, candidates: impl Iterator<Item = &'a mut Cand
     }
 }
 
-/// Returns the name of each preset or display file, and the job's table `[display]` for it. The name
-/// of a file is its stem, or the text of the job if another display has the same stem.
+/// Returns the name of each preset or display file, and the job's table `[display]` for it. The
+/// name of a file is its stem, or the text of the job if another display has the same stem.
 fn bases(job: &Job, texts: &[String]) -> Vec<(String, DisplayJob)> {
     let stem = |text: &str| Path::new(text).file_stem().map_or(text.into(), |stem| stem.to_string_lossy().into_owned());
     let one = |text: &String| {

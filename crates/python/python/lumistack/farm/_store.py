@@ -225,7 +225,8 @@ class Mirror:
         maps = []
         for number, source in enumerate(sent):
             to = self.place / f"sent{number}"
-            # The client sends a folder again if its files changed, so the list is read for each unit.
+            # The client sends a folder again if its files changed, so the list is read for each
+            # unit.
             name = f"{run.plan}/sent/{number}.json"
             entries = run.store.entries(name)
             if entries is None or entries != self.sent.get(number):
