@@ -288,7 +288,7 @@ def attaches(folder, scene, until):
         print("note: attached, seconds:", ", ".join(f"{latency:.2f}" for latency in latencies), f"after {time.monotonic() - begin:.1f}")
         assert bpy.ops.lumistack.live() == {"FINISHED"}
         until("the end of the connection", lambda: live.session is None)
-        assert live.ended == f"Detached: {run} keeps its last state", live.ended
+        assert live.ended == f"Detached: the display in {run} keeps its last state", live.ended
         assert other.poll() is None
         assert bpy.ops.lumistack.live() == {"FINISHED"}
         other.kill()
