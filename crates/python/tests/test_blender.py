@@ -318,7 +318,7 @@ def test_triangles_without_area_are_dropped(tmp_path: Path, recwarn: pytest.Warn
     triangles = [(0, 1, 2), (0, 0, 1), (0, 1, 3), (0, 4, 5)]
     file.add_glow("text", place, positions, triangles, (1.0, 1.0, 1.0))
     file.write(tmp_path / "flat.glb")
-    with pytest.warns(lumistack.LumistackWarning, match="without area: 2 of 4"):
+    with pytest.warns(lumistack.LumistackWarning, match="triangles without area, which are left out: 2 of 4"):
         lumistack.Scene(tmp_path / "flat.glb")
     assert file.drop_flat_triangles() == 2 and file.drop_flat_triangles() == 0
     file.write(tmp_path / "clean.glb")
