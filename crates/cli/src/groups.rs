@@ -8,7 +8,8 @@ use lumistack_display::Views;
 use lumistack_factorizer::{StartKind, solver_names};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    BadValue, DisplayJob, FitDepth, ImporterJob, Job, OutputJob, PipelineError, Place, Tone, WindowFrom, is_usd,
+    BadValue, DisplayJob, FitDepth, ImporterJob, Job, OutputJob, PipelineError, Place, Tone, WindowFrom, WindowJob,
+    is_usd,
 };
 
 use crate::values::{Angles, Numbers, Size};
@@ -380,6 +381,12 @@ pub(crate) fn tone_of(name: &str) -> Tone {
     }
 }
 
+/// Removes the source and the numbers of a window, so that options can place it.
+fn unplace(window: &mut WindowJob) {
+    let WindowJob { from, centre, forward, up, width, .. } = WindowJob::default();
+    (window.from, window.centre, window.forward, window.up, window.width) = (from, centre, forward, up, width);
+}
+
 pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     job.display.views = args.views.or(job.display.views);
     if let Some(zone_samples) = args.zone_samples {
@@ -404,16 +411,14 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     change_importer(&mut job.importer, &args.files);
     // The command line takes precedence over the job file.
     if args.camera.is_some() {
-        job.window.camera = args.camera.clone();
-        job.window.look_from = None;
-        if matches!(job.window.from, WindowFrom::Given | WindowFrom::Bounds) {
-            job.window.from = WindowFrom::Auto;
-        }
+        unplace(&mut job.window);
+        (job.window.camera, job.window.look_from) = (args.camera.clone(), None);
     }
     if let Some(look_from) = args.look_from {
         job.window.look_from = Some(look_from.0);
         if args.camera.is_none() {
-            (job.window.from, job.window.camera) = (WindowFrom::Bounds, None);
+            unplace(&mut job.window);
+            (job.window.from, job.window.camera, job.window.focus_distance) = (WindowFrom::Bounds, None, None);
         }
     }
     job.window.near = args.near.unwrap_or(job.window.near);
@@ -537,6 +542,40 @@ pub(crate) fn geometry(args: &GeometryArgs) -> GeometryFlags {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The command line takes precedence over a window that the job gives by numbers, or at a
+    /// camera's plane of focus.
+    #[test]
+    fn options_place_the_window_of_any_job() {
+        #[derive(clap::Parser)]
+        struct Command {
+            #[command(flatten)]
+            render: RenderArgs,
+        }
+        let given = WindowJob {
+            from: WindowFrom::Given,
+            centre: Some([0.0; 3]),
+            forward: Some([0.0, 0.0, -1.0]),
+            up: Some([0.0, 1.0, 0.0]),
+            width: Some(2.0),
+            depth_scale: 0.5,
+            ..WindowJob::default()
+        };
+        let camera = WindowJob { camera: Some("a".into()), focus_distance: Some(2.0), ..WindowJob::default() };
+        for window in [given, camera] {
+            for options in [["--camera", "1"], ["--look-from", "10,20"]] {
+                let mut job = Job::new(DisplayJob::by_name_or_path("fig7-uniform"));
+                (job.scene, job.window) = (Some("a.glb".into()), window.clone());
+                let command = <Command as clap::Parser>::parse_from(["run"].iter().chain(&options));
+                change_render(&mut job, &command.render);
+                job.check().unwrap();
+                assert_eq!(job.window.depth_scale, window.depth_scale);
+                let placed = (job.window.camera.as_deref(), job.window.look_from);
+                let expected = if options[0] == "--camera" { (Some("1"), None) } else { (None, Some([10.0, 20.0])) };
+                assert_eq!(placed, expected);
+            }
+        }
+    }
 
     /// Help is generated from the names of solvers and starts. Texts that are written by hand must
     /// contain the same names.

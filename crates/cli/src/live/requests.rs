@@ -80,7 +80,7 @@ impl Requests {
         // The lock is held from the checks to the changes, so that no other thread changes the job
         // between them.
         let mut kept = lock(&self.request);
-        let job = with_keys(kept.request.job.clone(), &changes.keys).map_err(|error| error.to_string())?;
+        let job = with_keys(&kept.request.job, &changes.keys).map_err(|error| error.to_string())?;
         // Wrong positions have no effect. This is the last check, so it may store the positions.
         if let Some(heads_mm) = &changes.heads_mm {
             self.see(heads_mm, Eyes::Two).map_err(|error| error.to_string())?;
@@ -106,7 +106,7 @@ impl Requests {
     /// Replaces the job by a changed job file, and sets the keys of earlier commands again.
     pub(super) fn replace(&self, job: Job) -> Result<(), PipelineError> {
         let mut kept = lock(&self.request);
-        kept.request.job = with_keys(job, &kept.set)?;
+        kept.request.job = with_keys(&job, &kept.set)?;
         self.post(&kept);
         Ok(())
     }
@@ -160,8 +160,8 @@ impl Requests {
     }
 }
 
-fn with_keys(job: Job, keys: &[(String, Value)]) -> Result<Job, PipelineError> {
-    keys.iter().try_fold(job, |job, (key, value)| job.with(key, value.clone()))
+fn with_keys(job: &Job, keys: &[(String, Value)]) -> Result<Job, PipelineError> {
+    job.with_all(keys.iter().map(|(key, value)| (key.as_str(), value.clone())))
 }
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -13,11 +13,23 @@ impl Job {
     /// # Errors
     /// If the key does not exist, the value has another type, or the job is wrong with this value.
     pub fn with(&self, key: &str, value: Value) -> Result<Self, PipelineError> {
-        let mut all = self.to_json();
-        let found = value.to_string();
-        set(&mut all, key, value)?;
-        let parsed: Self = serde_json::from_value(all).map_err(|error| wrong_value(key, &error.to_string(), found))?;
-        let job = Self { folder: self.folder.clone(), file: self.file.clone(), ..parsed };
+        self.with_all([(key, value)])
+    }
+
+    /// Returns the job with other values of several keys, as [`with`](Self::with). Only the job
+    /// with all these values must be right. The last value of a key counts.
+    ///
+    /// # Errors
+    /// As [`with`](Self::with).
+    pub fn with_all<'a>(&self, keys: impl IntoIterator<Item = (&'a str, Value)>) -> Result<Self, PipelineError> {
+        let (mut all, mut job) = (self.to_json(), self.clone());
+        for (key, value) in keys {
+            let found = value.to_string();
+            set(&mut all, key, value)?;
+            let parsed = serde_json::from_value(all.clone());
+            let parsed: Self = parsed.map_err(|error| wrong_value(key, &error.to_string(), found))?;
+            job = Self { folder: self.folder.clone(), file: self.file.clone(), ..parsed };
+        }
         job.check()?;
         job.display.resolve()?;
         Ok(job)
@@ -77,6 +89,20 @@ mod tests {
 
     use super::*;
     use crate::DisplayJob;
+
+    /// The keys of a window are wrong one by one, and right together.
+    #[test]
+    fn only_the_job_with_all_keys_must_be_right() {
+        let job = Job { scene: Some("a.glb".into()), ..Job::new(DisplayJob::by_name_or_path("fig7-uniform")) };
+        let keys = [("window.width", json!(2.0)), ("window.from", json!("given"))];
+        assert!(job.with("window.width", json!(2.0)).unwrap_err().to_string().contains("window.from"));
+        let given = job.with_all(keys).unwrap();
+        assert_eq!(given.window.width, Some(2.0));
+        assert!(given.with("window.from", Value::Null).is_err());
+        assert_eq!(given.with_all([("window.from", Value::Null), ("window.width", Value::Null)]).unwrap(), job);
+        let error = job.with_all([("seed", json!(3)), ("window.widht", json!(1))]).unwrap_err().to_string();
+        assert!(error.contains("window.widht: expected one of the keys"), "{error}");
+    }
 
     #[test]
     fn keys_change_one_by_one_and_errors_name_them() {

@@ -175,11 +175,17 @@ impl Default for WindowJob {
 }
 
 impl WindowJob {
-    /// Checks the ranges of values, which the parser does not check.
+    /// Checks the ranges of values, and that every key has an effect, which the parser does not
+    /// check.
     pub fn check(&self) -> Result<(), ShotError> {
         if !(1e-3..=10.0).contains(&self.depth_scale) {
             let found = self.depth_scale.to_string();
             return Err(ShotError::job("window.depth_scale", "0.001 to 10", found));
+        }
+        if let Some(distance) = self.focus_distance
+            && !(distance.is_finite() && distance > 0.0)
+        {
+            return Err(ShotError::job("window.focus_distance", "a finite distance above 0", distance.to_string()));
         }
         if let Near::At(near) = self.near
             && !near.is_finite()
@@ -200,6 +206,79 @@ impl WindowJob {
                 return fail("`window.from` = \"auto\" or \"bounds\"", found.into());
             }
         }
+        self.check_use()
+    }
+
+    /// Checks that no key is set that another key makes useless.
+    fn check_use(&self) -> Result<(), ShotError> {
+        let from = match self.from {
+            WindowFrom::Auto => "\"auto\"",
+            WindowFrom::Camera => "\"camera\"",
+            WindowFrom::Bounds => "\"bounds\"",
+            WindowFrom::Given => "\"given\"",
+        };
+        let numbers = [
+            ("centre", self.centre.is_some()),
+            ("forward", self.forward.is_some()),
+            ("up", self.up.is_some()),
+            ("width", self.width.is_some()),
+        ];
+        if let Some((key, _)) = numbers.iter().find(|(_, is_set)| *is_set && self.from != WindowFrom::Given) {
+            return Err(ShotError::job(format!("window.{key}"), "`window.from` = \"given\"", from));
+        }
+        let of_cameras = [("camera", self.camera.is_some()), ("focus_distance", self.focus_distance.is_some())];
+        for (key, _) in of_cameras.iter().filter(|(_, is_set)| *is_set) {
+            let fail = |expected: &str, found: &str| Err(ShotError::job(format!("window.{key}"), expected, found));
+            if !matches!(self.from, WindowFrom::Auto | WindowFrom::Camera) {
+                return fail("`window.from` = \"auto\" or \"camera\"", from);
+            }
+            if self.look_from.is_some() {
+                return fail("no `window.look_from`, with which no camera is used", "both");
+            }
+        }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_without_effect_are_refused() {
+        let base = WindowJob::default;
+        let check = |job: WindowJob| job.check().map_err(|error| error.to_string());
+        let given = WindowJob { from: WindowFrom::Given, centre: Some([0.0; 3]), width: Some(1.0), ..base() };
+        assert_eq!(check(given.clone()), Ok(()));
+        assert_eq!(check(WindowJob { from: WindowFrom::Camera, focus_distance: Some(2.0), ..base() }), Ok(()));
+        for (job, message) in [
+            (
+                WindowJob { width: Some(1.0), ..base() },
+                "window.width: expected `window.from` = \"given\", found \"auto\"",
+            ),
+            (
+                WindowJob { from: WindowFrom::Bounds, ..given.clone() },
+                "window.centre: expected `window.from` = \"given\", found \"bounds\"",
+            ),
+            (
+                WindowJob { focus_distance: Some(2.0), ..given },
+                "window.focus_distance: expected `window.from` = \"auto\" or \"camera\", found \"given\"",
+            ),
+            (
+                WindowJob { from: WindowFrom::Bounds, camera: Some("a".into()), ..base() },
+                "window.camera: expected `window.from` = \"auto\" or \"camera\", found \"bounds\"",
+            ),
+            (
+                WindowJob { look_from: Some([0.0; 2]), focus_distance: Some(2.0), ..base() },
+                "window.focus_distance: expected no `window.look_from`",
+            ),
+        ] {
+            let error = check(job).unwrap_err();
+            assert!(error.contains(message), "{error}");
+        }
+        for distance in [-1.0, 0.0, f32::NAN, f32::INFINITY] {
+            let error = check(WindowJob { focus_distance: Some(distance), ..base() }).unwrap_err();
+            assert!(error.contains("window.focus_distance: expected a finite distance above 0, found "), "{error}");
+        }
     }
 }

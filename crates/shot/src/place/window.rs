@@ -138,7 +138,12 @@ fn unlimited_window<S: Subject>(
     };
     // Keep a window at a stated focus distance, and the window of a camera that the job requests.
     // Any other window of a camera may shrink.
-    let Some(camera) = camera else { return framed() };
+    let Some(camera) = camera else {
+        if job.focus_distance.is_some() {
+            task.warn("window.focus_distance", "no effect, since the scene has no camera");
+        }
+        return framed();
+    };
     let stated = job.focus_distance.or(camera.focus_distance);
     let focus_distance = match stated {
         Some(distance) => Some(distance),
@@ -148,8 +153,9 @@ fn unlimited_window<S: Subject>(
     match Window::from_camera(&Camera { focus_distance, ..camera.clone() }, scene.seen_bounds(), size_mm) {
         Ok(window) if stated.is_some() || job.from == WindowFrom::Camera || job.camera.is_some() => Ok(found(window)),
         Ok(window) => close_up(subject, window, geometry, false, task).map(found),
-        // a camera that the job does not name must not cause an error, so frame the scene instead
-        Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => framed(),
+        // A camera of which the job states nothing must not cause an error, so frame the scene
+        // instead.
+        Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() && job.focus_distance.is_none() => framed(),
         Err(source) => Err(error(source).into()),
     }
 }
@@ -328,7 +334,15 @@ pub fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, Sho
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use glam::{Affine3A, Vec3};
+    use lumistack_core::{Cancel, Collector};
+    use lumistack_display::Display;
+    use lumistack_scene::{Instance, Material, Mesh, SceneParts};
+
     use super::*;
+    use crate::subject::LitScene;
 
     fn mask(rows: usize, cols: usize, is_set: impl Fn(usize, usize) -> bool) -> Tensor<2> {
         let mut mask = Tensor::zeros(["row", "col"], [rows, cols]);
@@ -342,6 +356,47 @@ mod tests {
     fn edges(mask: &Tensor<2>, (factor, [row, col]): (f64, [f64; 2])) -> [f64; 4] {
         let [height, width] = mask.shape().map(|count| 0.5 * factor * count as f64);
         [row - height, row + height, col - width, col + width]
+    }
+
+    /// Returns a scene of a triangle at z = 0. With `has_camera`, a camera at z = 4 looks at it.
+    fn triangle(has_camera: bool, task: Task<'_>) -> LitScene {
+        let positions = vec![Vec3::ZERO, Vec3::X, Vec3::Y];
+        let camera = Camera {
+            name: "eye".into(),
+            scene_from_camera: Affine3A::from_translation(4.0 * Vec3::Z),
+            projection: Lens::Perspective { vertical_fov_rad: 0.5, aspect: None },
+            focus_distance: None,
+            near: None,
+        };
+        let parts = SceneParts {
+            meshes: vec![Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() }],
+            instances: vec![Instance { mesh: 0, scene_from_mesh: Affine3A::IDENTITY }],
+            materials: vec![Material { unlit: true, ..Material::default() }],
+            cameras: if has_camera { vec![camera] } else { Vec::new() },
+            ..SceneParts::default()
+        };
+        LitScene::new(Arc::new(parts.validate(task).unwrap()), task).unwrap()
+    }
+
+    /// A wrong distance of the job must not replace the file's camera by a frame, and a distance
+    /// without a camera must be reported.
+    #[test]
+    fn the_focus_distance_of_a_job_has_its_effect_or_a_message() {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let task = Task::quiet(&warnings, &cancel);
+        let geometry = Display::uniform([32, 20], 1.0, [1, 1], [20.0, 20.0], &[0.0], 1).geometry().unwrap();
+        let find = |scene: &LitScene, focus_distance| {
+            find_window(scene, &WindowJob { focus_distance, ..WindowJob::default() }, &geometry, task)
+        };
+        let seen = triangle(true, task);
+        let found = find(&seen, Some(3.0)).unwrap();
+        assert!((found.window.scene_from_display.translation - DVec3::Z).length() < 1e-6 && found.chosen);
+        let error = find(&seen, Some(-1.0)).unwrap_err().to_string();
+        assert!(error.contains("at distance -1"), "{error}");
+        assert_eq!(warnings.take(), []);
+        find(&triangle(false, task), Some(3.0)).unwrap();
+        let [warning] = &warnings.take()[..] else { panic!("one warning") };
+        assert_eq!(warning.to_string(), "window.focus_distance: no effect, since the scene has no camera");
     }
 
     #[test]
