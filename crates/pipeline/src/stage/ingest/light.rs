@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{Quat, Vec3};
+use image::ImageFormat;
 use lumistack_core::Task;
 use lumistack_field_io::picture::Picture;
 use lumistack_scene::{Image, Pixels, Scene, SceneParts};
@@ -17,7 +18,7 @@ use crate::stage::ingest::from_splats;
 /// `strength`.
 ///
 /// # Errors
-/// If the file cannot be read or decoded.
+/// If the file has another format, or cannot be read or decoded.
 pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> Result<(), PipelineError> {
     let bytes = read(path)?;
     let is_exr = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
@@ -26,11 +27,19 @@ pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> R
         let [width, height] = picture.size();
         (width, height, picture.into_linear().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect())
     } else {
-        let picture = image::load_from_memory(&bytes)
-            .map_err(|error| {
-                PipelineError::value(path, "environment", "a Radiance HDR or EXR picture", error.to_string())
-            })?
-            .into_rgb32f();
+        let wrong = |found: String| PipelineError::value(path, "environment", "a Radiance HDR or EXR picture", found);
+        // Pictures of other formats are encoded for screens, and cannot be brighter than white.
+        if let Ok(format) = image::guess_format(&bytes)
+            && format != ImageFormat::Hdr
+        {
+            let extension = format.extensions_str().first().copied().unwrap_or_default();
+            return Err(wrong(match format {
+                ImageFormat::OpenExr => "an EXR picture whose name does not end with .exr".into(),
+                _ => format!("a picture of the format .{extension}, which has no linear light"),
+            }));
+        }
+        let picture = image::load_from_memory_with_format(&bytes, ImageFormat::Hdr);
+        let picture = picture.map_err(|error| wrong(error.to_string()))?.into_rgb32f();
         let (width, height) = picture.dimensions();
         (width as usize, height as usize, picture.pixels().map(|p| p.0).collect())
     };
@@ -68,6 +77,37 @@ pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_environment_has_linear_light() {
+        let folder = tempfile::tempdir().unwrap();
+        let load = |name: &str| {
+            let mut parts = SceneParts::default();
+            load_environment(&mut parts, &folder.path().join(name), 1.0)
+                .map(|()| parts)
+                .map_err(|error| error.to_string())
+        };
+        let picture = image::Rgb32FImage::from_pixel(4, 2, image::Rgb([4.0, 1.0, 0.5]));
+        picture.save(folder.path().join("sky.hdr")).unwrap();
+        let parts = load("sky.hdr").unwrap();
+        let Pixels::RgbF32(texels) = &parts.images[0].pixels else { panic!("linear texels") };
+        assert_eq!((texels.len(), texels[0]), (8, [4.0, 1.0, 0.5]));
+        let codes = image::DynamicImage::from(picture).to_rgb8();
+        for (name, format) in [("sky.png", "png"), ("sky.jpg", "jpg"), ("sky.webp", "webp")] {
+            codes.save(folder.path().join(name)).unwrap();
+            // the content decides, not the name
+            std::fs::copy(folder.path().join(name), folder.path().join("named.hdr")).unwrap();
+            for name in [name, "named.hdr"] {
+                let error = load(name).unwrap_err();
+                let expected = format!(
+                    "environment: expected a Radiance HDR or EXR picture, found a picture of the format .{format}"
+                );
+                assert!(error.contains(&expected), "{error}");
+            }
+        }
+        std::fs::write(folder.path().join("text.hdr"), "no picture").unwrap();
+        assert!(load("text.hdr").unwrap_err().contains("expected a Radiance HDR or EXR picture"));
+    }
 
     /// Expected values are from Blender 4.5. A camera of an imported glTF file looks along −z. The
     /// middle of its picture shows the column at 0.25 of the map's width. Columns farther to the
