@@ -146,8 +146,8 @@ pub fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3, sce
 }
 
 /// Lights a scene as a job says. `environment` is true if the scene's environment came from the
-/// file that `light.environment` names, at the job's strength. Returns the scene, and true if the
-/// studio light was added.
+/// job, at the job's strength: from the file that `light.environment` names, or from splats.
+/// Returns the scene, and true if the studio light was added.
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.

@@ -232,16 +232,17 @@ fn lit(
 ) -> Result<Ingested, PipelineError> {
     // Crop first, since removed splats emit no light.
     scene = crop::cropped(scene, pose, task)?;
-    // The environment of the job replaces the environment of the file.
+    // The environment of the job replaces the environment of the file, and has the job's strength
+    // already.
+    let mut has_own = light_job.environment.is_some();
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));
         scene = lumistack_shot::edited(scene, task, |parts| {
             light::load_environment(parts, environment, light_job.environment_strength)
         })?;
     } else if light_job.from_splats {
-        scene = light::from_splats(scene, light_job.environment_strength, task)?;
+        (scene, has_own) = light::from_splats(scene, light_job.environment_strength, task)?;
     }
-    let has_own = light_job.environment.is_some() || light_job.from_splats;
     let (scene, studio) = lumistack_shot::light::lit(scene, has_own, light_job, task)?;
     Ok(Ingested { scene, files, pose: pose.clone(), studio, known: None, renderer: OnceLock::new() })
 }
@@ -378,3 +379,40 @@ impl AssetResolver for Files {
 /// Advice for references that lead out of the scene's folder.
 const OUTSIDE_ADVICE: &str =
     "--allow-outside (in a job `importer.allow_outside = true`) lets a scene read files of other folders";
+
+#[cfg(test)]
+mod tests {
+    use glam::{Affine3A, Quat, Vec3};
+    use lumistack_core::{Cancel, Collector};
+    use lumistack_scene::{Image, Instance, Material, Mesh, Pixels, SceneParts};
+    use lumistack_shot::light::set_environment;
+
+    use super::*;
+
+    /// The map from splats would replace the scene's environment. Without splats there is no map,
+    /// so the job's strength applies to the environment of the scene.
+    #[test]
+    fn a_scene_without_splats_keeps_its_environment_at_the_strength_of_the_job() {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let task = Task::quiet(&warnings, &cancel);
+        let mut parts = SceneParts {
+            meshes: vec![Mesh {
+                positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+                triangles: vec![[0, 1, 2]],
+                ..Mesh::default()
+            }],
+            instances: vec![Instance { mesh: 0, scene_from_mesh: Affine3A::IDENTITY }],
+            materials: vec![Material::default()],
+            ..SceneParts::default()
+        };
+        let grey = Pixels::RgbF32(vec![[0.5; 3]; 2]);
+        let image = Image { name: "sky".into(), width: 2, height: 1, pixels: grey };
+        set_environment(&mut parts, image, Vec3::splat(2.0), Quat::IDENTITY);
+        let scene = parts.validate(task).unwrap();
+        let job = LightJob { from_splats: true, environment_strength: 3.0, ..LightJob::default() };
+        let lit = lit(scene, Vec::new(), &PoseJob::default(), &job, task).unwrap();
+        assert_eq!(lit.scene.environment.unwrap().strength, Vec3::splat(6.0));
+        let [warning] = &warnings.take()[..] else { panic!("one warning") };
+        assert_eq!(warning.to_string(), "light.from_splats: no effect, since the scene has no splats");
+    }
+}

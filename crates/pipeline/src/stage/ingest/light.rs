@@ -56,22 +56,27 @@ fn as_in_blender() -> Quat {
 }
 
 /// Adds an environment by which the scene's splats light its meshes. A scene without splats or
-/// without meshes does not change.
+/// without meshes does not change. Returns the scene, and true if the environment was added.
 ///
 /// # Errors
 /// If cancelled, or the scene becomes invalid.
-pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result<Scene, PipelineError> {
+pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result<(Scene, bool), PipelineError> {
     let scene = Arc::new(scene);
     let panorama = from_splats::panorama(&scene, task)?;
     let scene = Arc::unwrap_or_clone(scene);
-    let Some(image) = panorama else { return Ok(scene) };
-    edited(scene, task, |parts| {
+    let Some(image) = panorama else {
+        let missing = if scene.instances.is_empty() { "meshes" } else { "splats" };
+        task.warn("light.from_splats", format!("no effect, since the scene has no {missing}"));
+        return Ok((scene, false));
+    };
+    let lit = edited(scene, task, |parts| {
         set_environment(parts, image, Vec3::splat(strength), Quat::IDENTITY);
         // The map only lights the meshes. The background behind the splats is black, so that the
         // map is not visible.
         parts.backdrop = Some(Vec3::ZERO);
-        Ok(())
-    })
+        Ok::<_, PipelineError>(())
+    })?;
+    Ok((lit, true))
 }
 
 #[cfg(test)]
