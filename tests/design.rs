@@ -284,13 +284,13 @@ fn a_sweep_solves_as_a_run_does() {
     let node = "[factorize]\niterations = 5\n\n[[nodes]]\nid = \"a\"\ndisplay = { file = \"d.toml\" }\n\n[sweep]\nframes = [3]\n";
     write("nodes.toml", node);
     let preset = std::fs::read_to_string(root().join("scenes/displays/fig7-uniform.toml")).unwrap();
-    let sweep = |brightness: &str| {
-        std::fs::write(at("d.toml"), preset.replace("brightness = 0.2", brightness)).unwrap();
+    let sweep = |gap: &str| {
+        std::fs::write(at("d.toml"), preset.replace("d_mm = 40.0", gap)).unwrap();
         succeed(lumistack().arg("sweep").arg(at("nodes.toml")).arg("-o").arg(at("nodes")));
         number(&rows(&at("nodes"))[0], "psnr_view_db")
     };
-    let (dim, bright) = (sweep("brightness = 0.2"), sweep("brightness = 0.9"));
-    assert!((dim - bright).abs() > 0.5, "{dim} and {bright} dB");
+    let (near, far) = (sweep("d_mm = 40.0"), sweep("d_mm = 400.0"));
+    assert!((near - far).abs() > 0.1, "{near} and {far} dB");
 
     write("warm.toml", "[factorize]\nwarm_start = \"run/layers\"\n\n[sweep]\nframes = [3]\n");
     let text = fail(lumistack().arg("sweep").arg(at("warm.toml")).arg("-o").arg(at("warm")));

@@ -458,6 +458,6 @@ mod tests {
         assert_eq!(account("", true), Ok(()));
         let list = "wasm32: no target\ntest a: no files\nwasm32: no target\n";
         assert_eq!(account(list, false), Ok(()));
-        assert!(account(list, true).unwrap_err().starts_with("2 checks were skipped"));
+        assert!(account(list, true).unwrap_err().starts_with("skipped checks: 2;"));
     }
 }

@@ -162,7 +162,7 @@ fn bad_input_is_one_sentence() {
         message(files, path)
     };
     assert!(one("a.glb", b"glTF").starts_with("a.glb: "), "{}", one("a.glb", b"glTF"));
-    assert!(one("a.ply", b"no").contains("a.ply: start: expected a .ply"), "{}", one("a.ply", b"no"));
+    assert!(one("a.ply", b"no").contains("a.ply: byte 0: expected a .ply"), "{}", one("a.ply", b"no"));
     let text = br#"{"asset": {"version": "2.0"}, "buffers": [{"uri": "../secret.bin", "byteLength": 4}],
         "bufferViews": [{"buffer": 0, "byteLength": 4}], "accessors": [{"bufferView": 0, "componentType": 5126, "count": 1, "type": "SCALAR"}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], "nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}], "scene": 0}"#;

@@ -210,7 +210,7 @@ fn bad_parameters_are_refused_by_name() {
     for (params, message) in [
         (json!({"name": "a/b"}), "parameter `name`"),
         (json!({"name": ""}), "parameter `name`"),
-        (json!({"columns": 3}), "parameters `columns` and `rows`: expected both"),
+        (json!({"columns": 3}), "parameters `columns` and `rows`: expected two numbers above 0"),
         (json!({"columns": 2, "rows": 1, "width": 1}), "parameters `width` and `height`: expected at least"),
         (json!({"calibration": "nowhere.json"}), "parameter `calibration`: cannot read nowhere.json"),
         (json!({"calibration": "{\"pitch\": 1}"}), "parameter `calibration`: slope: expected a number"),

@@ -266,7 +266,10 @@ mod tests {
             check_program(&bytes, &TARGETS[0])
         };
         assert_eq!(check(62, "GLIBC_2.2.5\0GLIBC_2.17\0"), Ok(()));
-        assert_eq!(check(62, "GLIBC_2.3\0GLIBC_2.28\0").unwrap_err(), "expected glibc 2.17 or older, found 2.28");
+        assert_eq!(
+            check(62, "GLIBC_2.3\0GLIBC_2.28\0").unwrap_err(),
+            "expected a program that needs glibc 2.17 or older, found a program that needs glibc 2.28"
+        );
         assert_eq!(check(62, "text").unwrap_err(), "expected names of versions of glibc, found none");
         assert!(check(183, "GLIBC_2.17\0").is_err());
     }

@@ -102,7 +102,7 @@ fn libraries_for_other_machines_are_recognized() {
     let mine = ELF_MACHINES.iter().find(|(_, name)| here.starts_with(name));
     if let Some((number, _)) = mine {
         let message = failure(&write(folder.path(), "hollow", &elf_header(*number)));
-        assert!(message.starts_with("expected the function `lumistack_plugin_entry_hollow`"), "{message}");
+        assert!(message.starts_with("expected the exported function `lumistack_plugin_entry_hollow`"), "{message}");
     }
     // A program is no library, even if it is for this machine.
     let program = folder.path().join(file_name("program"));

@@ -178,7 +178,10 @@ fn what_is_wrong_is_said_and_goes_no_further() {
             "bright",
             "the plugin made a layer stack that does not fit the display: layer 0: expected values in 0..1, found 1.5",
         ),
-        ("layers", "the plugin made a layer stack that does not fit the display: layers: expected 2, found 1"),
+        (
+            "layers",
+            "the plugin made a layer stack that does not fit the display: number of layers: expected 2, found 1",
+        ),
         ("panic", "panicked: no patterns at time 0"),
     ] {
         assert_eq!(flat(&format!(r#"{{"fault": "{fault}"}}"#)).unwrap_err().to_string(), message);

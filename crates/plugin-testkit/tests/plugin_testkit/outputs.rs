@@ -213,7 +213,7 @@ fn data_that_do_not_fit_the_display_never_reach_the_plugin() {
     let output = Output::open(&plugin, &host, &Value::Null, &all[0].display).unwrap();
     let other = OutputData::LayerStack(all[1].stack().unwrap(), None);
     let error = output.submit(Time::default(), other).unwrap_err();
-    assert_eq!(error.to_string(), "layer stack: layers: expected 3, found 1");
+    assert_eq!(error.to_string(), "layer stack: number of layers: expected 3, found 1");
 }
 
 #[test]
@@ -230,7 +230,9 @@ fn descriptors_of_other_versions_are_refused() {
     assert!(refused(abi::Descriptor { id: abi::Str::new("a b"), ..descriptor }).contains("`a b`"));
     assert!(refused(abi::Descriptor { ports: 0, ..descriptor }).contains("found no input port"));
     assert!(refused(abi::Descriptor { schema_json: abi::Str::new("{}"), ..descriptor }).contains("parameters"));
-    assert!(refused(abi::Descriptor { vtable: std::ptr::null(), ..descriptor }).contains("missing"));
+    assert!(
+        refused(abi::Descriptor { vtable: std::ptr::null(), ..descriptor }).contains("found a table that lacks one")
+    );
     // SAFETY: null is allowed.
     assert!(unsafe { Plugin::from_descriptor(std::ptr::null()) }.is_err());
 }
