@@ -49,9 +49,9 @@ export declare class LumistackViewer extends HTMLElement {
     /** The renderer: "webgl2" or "cpu". */
     get path(): Path;
     /**
-    * Returns the RGBA bytes of the current picture, in the light field's size. In the side-by-side
-    * comparison these are the bytes of the display's picture alone, without the target.
-    */
+     * Returns the RGBA bytes of the current picture, in the light field's size. In the side-by-side
+     * comparison these are the bytes of the display's picture alone, without the target.
+     */
     pixels(): Promise<ImageData>;
     /** Returns the current picture as PNG. */
     screenshot(): Promise<Blob>;
@@ -75,7 +75,7 @@ export declare class LumistackViewer extends HTMLElement {
     connectedCallback(): void;
     disconnectedCallback(): void;
     attributeChangedCallback(name: string, before: string | null, now: string | null): void;
-    /** The hint on how to look around. The button for tilt is one of the element's own controls. */
+    /** The hint on how to look around. With the attribute `plain` there is no button for tilt. */
     private get hint();
     private get module();
     private load;
@@ -108,14 +108,14 @@ export declare class LumistackViewer extends HTMLElement {
     /** Returns the picture to show; undefined while no frame is complete. */
     private shot;
     /**
-    * Returns the seen pictures that other displays (headset, lenticular panel) show; undefined
-    * without patterns.
-    */
+     * Returns an object that computes seen pictures for other displays (headset, lenticular panel);
+     * undefined without patterns.
+     */
     private views;
     /**
-    * True while the poster or small views replace the picture. The mean of only a few frames is
-    * noisy, so the picture appears when all frames are complete.
-    */
+     * True while the poster or small views replace the picture. The mean of only a few frames is
+     * noisy, so the picture appears when all frames are complete.
+     */
     private get isEarly();
     private draw;
     /** Called when a picture is on the canvas. */

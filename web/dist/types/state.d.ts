@@ -15,7 +15,7 @@ export interface State {
     split: number;
     /** Factor on the emitted light. Null stands for 1/β, the factor of an adapted eye. */
     gain: number | null;
-    /** Error of every gap between layers, mm. */
+    /** Error of every gap between neighbouring layers, and of the gap to the backlight, mm. */
     gapMm: number;
     /** Offset of the front layer to the right and upwards, mm. */
     shiftXMm: number;
@@ -42,7 +42,10 @@ export interface State {
 export declare const DEFAULTS: Readonly<State>;
 /** Writes a state as `mode=compare&x=0.03&…`, without the values that are defaults. */
 export declare function toHash(state: State, slope: Slope | undefined): string;
-/** Reads the text that `toHash` writes. Unknown keys are ignored; wrong values become defaults. */
+/**
+ * Reads the text that `toHash` writes. Unknown keys and unusable values are ignored. Other numbers
+ * are limited to their range.
+ */
 export declare function fromHash(hash: string): {
     state: State;
     slope: Slope | undefined;
