@@ -121,8 +121,8 @@ impl Scratch {
     }
 }
 
-/// Returns, for each factor k, the smallest and the largest difference over all rays. The difference
-/// of a ray is its column in factor k, minus its column in factor `n`.
+/// Returns, for each factor k, the smallest and the largest difference over all rays. The
+/// difference of a ray is its column in factor k, minus its column in factor `n`.
 fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     let distances = |k: usize| {
         let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);
