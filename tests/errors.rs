@@ -405,3 +405,33 @@ fn a_preview_needs_a_run() {
     let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));
     assert!(text.contains("display.toml"), "{text}");
 }
+
+/// Errors of the table `[factorize]` that are known from the job are reported before the views of a
+/// scene are rendered.
+#[test]
+fn wrong_weights_and_eyes_are_reported_before_the_rendering() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let header = format!("{:<117}\n", "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 2), }");
+    std::fs::write(at("w.npy"), [&b"\x93NUMPY\x01\x00v\x00"[..], header.as_bytes(), &[0; 16]].concat()).unwrap();
+    let scene = root().join("scenes/letters/letters.gltf");
+    let eye = "[[factorize.eyes]]\neye_mm = [0, 0, 600]\nsigma_mm = 30";
+    for (text, expected) in [
+        ("weights = \"w.npy\"".into(), "weights: expected shape [3, 3] or [3, 3, 12, 20]"),
+        (format!("weights = \"w.npy\"\n{eye}"), "factorize.eyes: expected either `weights` or `eyes`, found both"),
+        (eye.replace("600", "0"), "factorize.eyes[0].eye_mm: expected a position in front of the display"),
+        (eye.replace("30", "0"), "factorize.eyes[0].sigma_mm: expected a finite number above 0, found 0"),
+        (format!("{eye}\nweight = -1"), "factorize.eyes[0].weight: expected a finite number, 0 or more, found -1"),
+        (format!("eye_floor = -1\n{eye}"), "factorize.eye_floor: expected a finite number, 0 or more, found -1"),
+    ] {
+        let display = "[display]\npreset = \"paper-three-layer\"\nresolution = [20, 12]\nviews = [3, 3]\n";
+        std::fs::write(
+            at("job.toml"),
+            format!("scene = {:?}\n{display}[factorize]\n{text}\n", scene.to_str().unwrap()),
+        )
+        .unwrap();
+        let error = fail(lumistack().arg("run").arg(at("job.toml")).arg("-o").arg(at("run")));
+        assert!(error.contains(expected), "{text}: {error}");
+        assert!(!at("run/cache/views").exists() && !at("run/target").exists(), "{text}");
+    }
+}

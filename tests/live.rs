@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::common::{fail, lumistack, number, report, succeed, write_test_field};
+use crate::common::{fail, lumistack, number, report, root, succeed, write_test_field};
 
 /// Longest time to wait for an event.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -209,6 +209,21 @@ fn a_video_shows_its_time_steps_in_order_and_ends() {
     let done = live.event(|event| event["event"] == "done");
     assert_eq!(done["dropped"], 0, "{done}");
     assert!(live.process.wait().unwrap().success());
+}
+
+/// Commands without keys work while the display file is missing, as while an editor saves it.
+#[test]
+fn commands_without_keys_need_no_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let (job, display) = (write_job(folder.path()), folder.path().join("d.toml"));
+    std::fs::copy(root().join("scenes/displays/fig7-uniform.toml"), &display).unwrap();
+    let text = std::fs::read_to_string(&job).unwrap().replace("preset = \"fig7-uniform\"", "file = \"d.toml\"");
+    std::fs::write(&job, text).unwrap();
+    let mut live = Live::start(&job, &folder.path().join("run"), &[]);
+    live.state(|_| true);
+    std::fs::remove_file(&display).unwrap();
+    live.command(&json!({"viewers": [[0, 0, 600]]}));
+    live.stop();
 }
 
 #[test]

@@ -40,8 +40,8 @@ _OBJECT = {
 _AT_RENDER = {"show_render", "render_levels", "render_steps", "render_resolution", "render_resolution_u", "render_resolution_v"}
 #: Properties of a particle system that affect its hair, besides its settings.
 _HAIR = {"name", "seed", "child_seed", "use_hair_dynamics"}
-#: Types of parts of data blocks, nodes and settings. The type of a part that belongs to Cycles begins
-#: with `_OF_CYCLES`.
+#: Names of the types whose properties enter the digest as parts of a data block, node or settings.
+#: The types of Cycles have the prefix `_OF_CYCLES`.
 _PARTS = {"ColorManagedInputColorspaceSettings", "ColorMapping", "ColorRamp", "CurveMapping", "ImageUser", "MaterialGPencilStyle", "RaytraceEEVEE", "TexMapping", "VolumeRender"}
 _OF_CYCLES = "Cycles"
 _MESHES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}

@@ -45,8 +45,8 @@ pub(crate) struct Analyze {
     run: Option<PathBuf>,
     #[command(flatten)]
     files: FileArgs,
-    /// Largest distance from the display plane for which the depth of field is computed and
-    /// plotted, millimetres. The default is at least 20 mm. It includes the layers, the lens array,
+    /// Largest distance from the display plane at which the bound is computed and plotted,
+    /// millimetres. The default is at least 20 mm. It includes the layers, the lens array,
     /// the scene and the depth of field, each with a margin
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,

@@ -41,7 +41,8 @@ pub(crate) struct New {
     /// fewer than layers; 0 stands for a single layer without a gap
     #[arg(long, value_name = "MM,...", value_delimiter = ',')]
     pub(crate) gaps_mm: Option<Vec<f64>>,
-    /// Columns and rows of every panel [default: the size of the first output]
+    /// Columns and rows of every panel [default: the resolution of the first of
+    /// these outputs of the desktop: --outputs, otherwise all]
     #[arg(long, value_name = "CxR")]
     pub(crate) panel_resolution: Option<Size>,
     /// Pixel pitch of every panel, millimetres
@@ -50,7 +51,8 @@ pub(crate) struct New {
     /// Diagonal of every panel, inches, instead of --panel-pitch-mm
     #[arg(long, value_name = "IN")]
     pub(crate) diagonal_inch: Option<f64>,
-    /// Names of the outputs, from rear to front, as `lumistack show --list` prints them
+    /// Names of the desktop's outputs to which the panels are connected, from rear to front, as
+    /// `lumistack show --list` prints them
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     pub(crate) outputs: Option<Vec<String>>,
     /// Number of panel pixels per mask pixel on each axis. The light field has the masks'
@@ -68,7 +70,8 @@ pub(crate) struct New {
     /// number that does not flicker: the refresh rate divided by 60, rounded down, at least 1
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
-    /// Refresh rate of the panels, hertz [default: the rate of the first output, or 60]
+    /// Refresh rate of the panels, hertz [default: the refresh rate of that output of the
+    /// desktop whose resolution is the default of --panel-resolution; without outputs 60]
     #[arg(long, value_name = "HZ")]
     pub(crate) refresh_hz: Option<f64>,
     /// Brightness scale β [default: 0.2]
@@ -111,9 +114,9 @@ pub(crate) struct Calibrate {
     /// Another layer and its photograph; the flag may be given several times
     #[arg(long, value_name = "N=FILE", required = true)]
     pub(crate) photo: Vec<String>,
-    /// Position of the camera's lens: X right, Y up, Z in front of the display, millimetres. Use
-    /// the position that --eye-mm had in `lumistack show` [default: the default of --eye-mm in
-    /// `lumistack show`]
+    /// Position of the camera's lens: X right, Y up, Z in front of the display, millimetres. Give
+    /// the same value to `lumistack show`, and photograph from this position [default: straight
+    /// ahead at the viewing distance, or 2000 mm]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) eye_mm: Option<Numbers<3>>,
     /// Print the result, but do not write it to the display file

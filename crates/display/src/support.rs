@@ -8,7 +8,7 @@
 //! polygon is a box for a lens array, a diamond for two layers, and a hexagon for three layers (the
 //! paper's Figure 4).
 //!
-//! Let ω_s now be the support's extent on the axis ω_x = 0. This extent limits the spatial
+//! Let ω_s now be the highest frequency of the support on the axis ω_x = 0. It limits the spatial
 //! frequency at depths z far from the display: ω(z) → ω_s/|z|. An average of light over slopes of
 //! width
 //!

@@ -71,8 +71,8 @@ pub(crate) enum Sums {
 }
 
 impl Sums {
-    /// Returns the number of sums per pixel: one residual or wanted sum per frame, and then the
-    /// other sums.
+    /// Returns the number of sums per pixel. The sums n or r of every frame come first. Then follow
+    /// d, the diagonal, or the triangle of the Gram matrix.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }

@@ -1,4 +1,5 @@
-//! Members of JSON objects for which the `gltf` crate has no types: extensions and animations.
+//! Reads members of JSON objects without the types of the external crate `gltf`: extensions and
+//! animations.
 
 use gltf::json;
 use serde_json::Value;

@@ -139,37 +139,19 @@ impl FarmPlan {
     }
 }
 
-/// Returns a hash of the files that a job names. Folders, such as light fields, are represented by
-/// names, sizes and times of their files.
+/// Returns a hash of the files that a job names. The content of folders, such as light fields, is
+/// not included: after a user has replaced a damaged file in a folder, finished units stay
+/// finished.
 fn files_key(job: &Job, registry: &Registry) -> String {
     let mut key = KeyBuilder::new("files", &[]);
-    for (role, path) in folder::inputs(job, registry) {
-        // The plan has the text of the job itself.
-        if role == "job file" {
-            continue;
-        }
+    // The plan has the text of the job itself.
+    for (_, path) in folder::inputs(job, registry).into_iter().filter(|(role, _)| *role != "job file") {
         key.add("path", path.as_os_str().as_encoded_bytes());
-        match content_hash(&path) {
-            Ok(hash) => drop(key.add("content", hash.as_bytes())),
-            Err(_) => drop(key.add("folder", files_in(&path).as_bytes())),
+        if let Ok(hash) = content_hash(&path) {
+            key.add("content", hash.as_bytes());
         }
     }
     key.finish()
-}
-
-/// Returns the names, sizes and times of all files in a folder, as text.
-fn files_in(folder: &Path) -> String {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut lines: Vec<String> = entries
-        .map(|entry| {
-            let state = entry.metadata().ok();
-            let inside = state.as_ref().filter(|state| state.is_dir()).map(|_| files_in(&entry.path()));
-            let changed = state.as_ref().and_then(|state| state.modified().ok());
-            format!("{:?} {:?} {changed:?} {inside:?}", entry.file_name(), state.map(|state| state.len()))
-        })
-        .collect();
-    lines.sort();
-    lines.join("\n")
 }
 
 /// Maps a path of the planning machine to a path of this machine. `maps` are pairs of a folder on

@@ -112,11 +112,8 @@ fn merge(staging: &Staging, files: &[String]) -> Result<(), HostError> {
             return Err(HostError::Io { path: target, doing: "replace", source: io::ErrorKind::IsADirectory.into() });
         }
     }
-    // Some disks do not distinguish upper and lower case. There a stale file whose name differs
-    // only in case is the new file.
-    let new: BTreeSet<String> = files.iter().map(|file| file.to_lowercase()).collect();
-    let stale: Vec<String> =
-        earlier_files(out_dir).into_iter().filter(|file| !new.contains(&file.to_lowercase())).collect();
+    let new: BTreeSet<&str> = files.iter().map(String::as_str).collect();
+    let stale: Vec<String> = earlier_files(out_dir).into_iter().filter(|file| !new.contains(file.as_str())).collect();
 
     let mut moves = Moves::default();
     let replaced = staging.path.join(REPLACED);
@@ -128,10 +125,12 @@ fn merge(staging: &Staging, files: &[String]) -> Result<(), HostError> {
         }
         if with_new { moves.rename(&staging.path.join(file), &target).map_err(at) } else { Ok(()) }
     };
-    let result = files
+    // Remove stale files first. Some disks do not distinguish upper and lower case, so the name of
+    // a stale file may be the name of a new file.
+    let result = stale
         .iter()
-        .try_for_each(|file| replace(file, true))
-        .and_then(|()| stale.iter().try_for_each(|file| replace(file, false)))
+        .try_for_each(|file| replace(file, false))
+        .and_then(|()| files.iter().try_for_each(|file| replace(file, true)))
         .and_then(|()| replace(LISTING, true));
     if let Err((path, source)) = result {
         moves.undo();

@@ -141,7 +141,7 @@ def test_wrong_settings_of_factorization(light_field: LightField, display: Displ
         ({"brightness": 0.0}, lumistack.SettingError, "brightness: expected a number above 0"),
         ({"frames": 0}, lumistack.SettingError, "frames: expected 1 to 1000"),
         ({"weights": numpy.ones((2, 2), "f4")}, lumistack.SettingError, r"^weights: expected shape \[3, 3\]"),
-        ({"weights": numpy.ones(3, "f4")}, lumistack.SettingError, r"weights: shape: expected \[view_y\]"),
+        ({"weights": numpy.ones(3, "f4")}, lumistack.SettingError, r"weights: shape: expected an array \[view_y\]"),
         ({"weights": -numpy.ones((3, 3), "f4")}, lumistack.SettingError, "finite values ≥ 0"),
         ({"weights": numpy.zeros((3, 3), "f4")}, lumistack.SettingError, "at least one weight above 0, found 0 everywhere"),
         ({"weights": numpy.ones((3, 3), int)}, TypeError, "weights: expected an array of float32"),
@@ -223,7 +223,7 @@ def test_patterns_that_do_not_fit(light_field: LightField, display: Display) -> 
     layers[2][0, 0, 0, 0] = 1.5
     with pytest.raises(lumistack.DataError, match="layer 2: expected values in 0..1, found 1.5"):
         LayerStack(layers, display)
-    with pytest.raises(TypeError, match=r"layers\[0\]: expected an array \[frame, row, col, rgb\]"):
+    with pytest.raises(TypeError, match=r"layers\[0\]: expected an array with the axes \[frame, row, col, rgb\]"):
         LayerStack([numpy.zeros(3, "f4")], display)
     stack = lumistack.factorize(light_field, iterations=0)
     other = Display("paper-three-layer", resolution=(12, 8))

@@ -154,7 +154,7 @@ def test_an_array_file_takes_its_geometry_from_arguments(radiance: Any, tmp_path
     assert (read.pitch_mm, read.distance_mm) == (0.5, 600.0) and "perspective" in repr(read)
     with pytest.raises(lumistack.DataError, match=r"state the value with pitch_mm, for example pitch_mm=0\.5"):
         LightField.open(tmp_path / "views.npy")
-    with pytest.warns(lumistack.LumistackWarning, match="fov_deg sets the angles"):
+    with pytest.warns(lumistack.LumistackWarning, match="fov_deg sets other angles"):
         LightField.open(tmp_path / "views.npy", display="fig7-uniform")
 
 

@@ -55,7 +55,7 @@ pub enum UsdError {
         /// exception in the script.
         found: String,
     },
-    /// OpenUSD, the walker or Blender refuses the file.
+    /// OpenUSD, the Python code that reads the stage, or Blender refuses the file.
     #[error("{}", refused(file, message))]
     Refused {
         /// Path of a USD file as the caller named it, or absolute path of a `.blend` file.

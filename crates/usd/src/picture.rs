@@ -77,7 +77,7 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
         Err(_) => {
             let start = bytes[..bytes.len().min(12)].escape_ascii();
             return Err(format!(
-                "{} bytes that start \"{start}\"; PNG, JPEG, WebP, TGA, HDR and OpenEXR are read",
+                "{} bytes that start with \"{start}\"; PNG, JPEG, WebP, TGA, HDR and OpenEXR are read",
                 bytes.len()
             ));
         }

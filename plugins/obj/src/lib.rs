@@ -108,8 +108,11 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<M
         let bytes = assets.read(name)?;
         let mut warn = |line: usize, message: String| host.warn(&format!("{name}: line {line}: {message}"));
         let mut found = mtl::parse(&text::decode(&bytes), &mut warn);
+        // Many materials may share a picture, so each path is tried once.
+        let mut known = HashMap::new();
         for material in &mut found {
-            material.diffuse_map = material.diffuse_map.take().and_then(|map| found_map(host, assets, name, map));
+            let map = material.diffuse_map.take();
+            material.diffuse_map = map.and_then(|map| found_map(host, assets, name, map, &mut known));
         }
         Ok::<_, PluginError>(found)
     };
@@ -135,19 +138,28 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<M
 /// Finds the picture of a map: relative to the folder of the MTL file `mtl`, or else to the folder
 /// of the OBJ file. Returns the map with the picture's path relative to the OBJ file. A missing
 /// picture causes a warning, and the material has no map.
-fn found_map(host: &Host, assets: &Assets<'_>, mtl: &str, map: Map) -> Option<Map> {
-    let own = forward(Path::new(&map.file));
-    let beside = mtl.rsplit_once('/').map(|(folder, _)| format!("{folder}/{own}"));
-    let mut error = None;
-    for file in beside.into_iter().chain([own]) {
-        match assets.read(&file) {
-            Ok(_) => return Some(Map { file, ..map }),
-            Err(found) => error = Some(found),
+fn found_map(
+    host: &Host,
+    assets: &Assets<'_>,
+    mtl: &str,
+    map: Map,
+    known: &mut HashMap<String, Option<String>>,
+) -> Option<Map> {
+    let find = || {
+        let own = forward(Path::new(&map.file));
+        let beside = mtl.rsplit_once('/').map(|(folder, _)| format!("{folder}/{own}"));
+        let mut reason = String::new();
+        for file in beside.into_iter().chain([own]) {
+            match assets.read(&file) {
+                Ok(_) => return Some(file),
+                Err(error) => reason = error.to_string(),
+            }
         }
-    }
-    let reason = error.map_or(String::new(), |error| format!(": {error}"));
-    host.warn(&format!("{mtl}: the picture {} is left out{reason}", map.file));
-    None
+        host.warn(&format!("{mtl}: the picture {} is left out: {reason}", map.file));
+        None
+    };
+    let file = known.entry(map.file.clone()).or_insert_with(find).clone()?;
+    Some(Map { file, ..map })
 }
 
 /// Warns if only some faces of a mesh have normals or texture coordinates, which the mesh then

@@ -127,8 +127,8 @@ mod tests {
     fn masks_fill_the_smallest_panel_by_whole_pixels() {
         let display = Display::uniform([10, 6], 4.0, [1, 1], [10.0, 10.0], &[0.0, 5.0], 1);
         let outputs = outputs(&[[64, 48], [55, 30]]);
-        // The panels have room for 55 / 10 and for 30 / 6 panel pixels per mask pixel. The smaller
-        // number is five.
+        // The smallest panel has room for 55 / 10 panel pixels per mask pixel across, and for 30 /
+        // 6 down. The smaller number is five.
         let (display, pitch_mm) = fitted(&display, &outputs);
         assert_eq!(pitch_mm, 4.0 / 5.0);
         for (shows, output) in &outputs {

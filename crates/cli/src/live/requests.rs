@@ -80,12 +80,18 @@ impl Requests {
         // The lock is held from the checks to the changes, so that no other thread changes the job
         // between them.
         let mut kept = lock(&self.request);
-        let job = with_keys(&kept.request.job, &changes.keys).map_err(|error| error.to_string())?;
+        // Only keys change the job. Other changes must work while a file of the job cannot be read.
+        let job = match changes.keys.as_slice() {
+            [] => None,
+            keys => Some(with_keys(&kept.request.job, keys).map_err(|error| error.to_string())?),
+        };
         // Wrong positions have no effect. This is the last check, so it may store the positions.
         if let Some(heads_mm) = &changes.heads_mm {
             self.see(heads_mm, Eyes::Two).map_err(|error| error.to_string())?;
         }
-        kept.request.job = job;
+        if let Some(job) = job {
+            kept.request.job = job;
+        }
         for (key, value) in &changes.keys {
             kept.set.retain(|(other, _)| other != key);
             kept.set.push((key.clone(), value.clone()));

@@ -47,7 +47,7 @@ impl Analysis {
             }
         }
         let axes = Axes {
-            title: format!("Upper bound on depth of field, {}", ["horizontal", "vertical"][axis]),
+            title: format!("Bound of spatial frequency over depth, {}", ["horizontal", "vertical"][axis]),
             x_label: "depth, mm towards the viewer".into(),
             y_label: "highest frequency, cycles/mm".into(),
             x: Some([-reach, reach]),

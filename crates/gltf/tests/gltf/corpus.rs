@@ -358,8 +358,8 @@ fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     Some((b, [mesh, node]))
 }
 
-/// Returns copies of a file with an added triangle. Each copy shows one object of the file: beside
-/// the triangle, as a part of it, or in its place.
+/// Returns copies of a file with an added triangle. Each copy uses one object of the file: a node
+/// beside the triangle, a mesh instead of the triangle, or data that the triangle reads.
 fn shown_in_turn(file: &Value) -> Vec<(String, Value)> {
     let count = |list: &str| file.get(list).and_then(Value::as_array).map_or(0, Vec::len);
     let mut variants = Vec::new();

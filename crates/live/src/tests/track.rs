@@ -57,7 +57,7 @@ fn without_a_tracker_the_zone_fades_back_in() {
 }
 
 #[test]
-fn somebody_else_has_no_velocity_of_who_was_there_before() {
+fn another_viewer_has_no_velocity_of_the_viewer_before() {
     let mut tracker = walking(1000);
     tracker.see(&[[-400.0, 0.0, 600.0]], Eyes::Two, ms(1020)).unwrap();
     assert_eq!(tracker.boxes(ms(1020), ms(200)).heads_mm, [[-400.0, 0.0, 600.0]]);

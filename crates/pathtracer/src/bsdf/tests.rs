@@ -347,8 +347,8 @@ fn sampling_and_evaluation_agree() {
     }
 }
 
-/// Single-scattering microfacets are reciprocal: f(o, i) = f(i, o). For glass f is divided by the
-/// squared index of the side from which light comes, since f is meant for basic radiance.
+/// Single-scattering microfacets are reciprocal: f(o, i) = f(i, o). `Bsdf` returns f for
+/// basic radiance. So for glass, f divided by the squared index of the light's side is reciprocal.
 #[test]
 fn single_scattering_is_reciprocal() {
     let single = |surface: Appearance| Appearance { compensated: false, ..surface };

@@ -511,8 +511,8 @@ impl<V: Lanes> Slabs<V> {
             std::array::from_fn(|axis| SLAB_ROUNDING * (o[axis].abs() + extent) * inverse[axis].abs());
         let sign = |axis: usize| (inverse[axis].to_bits() >> 31) as usize;
         let near = [3 * sign(0) * WIDTH, (1 + 3 * sign(1)) * WIDTH, (2 + 3 * sign(2)) * WIDTH];
-        // No closure is used: it would not have the instruction set, and its vector operations
-        // would become calls.
+        // Vector operations stay outside of closures. A closure would not have the instruction set,
+        // so its vector operations would become calls.
         unsafe {
             Self {
                 inverse: [V::splat(inverse[0]), V::splat(inverse[1]), V::splat(inverse[2])],

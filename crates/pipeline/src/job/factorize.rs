@@ -139,6 +139,33 @@ impl FactorizeJob {
         }
     }
 
+    /// Checks the expected eyes. Also checks that the job has no weights beside them.
+    ///
+    /// # Errors
+    /// If an eye is not in front of the display, a number is out of range, or both keys are given.
+    pub(crate) fn check_eyes(&self) -> Result<(), PipelineError> {
+        let check = |ok: bool, key: String, expected: &str, found: String| match ok {
+            true => Ok(()),
+            false => Err(PipelineError::job(key, expected, found)),
+        };
+        if self.eyes.is_empty() {
+            return Ok(());
+        }
+        check(self.weights.is_none(), "factorize.eyes".into(), "either `weights` or `eyes`", "both".into())?;
+        let from_0 = |value: f64| value.is_finite() && value >= 0.0;
+        let (floor, at_least) = (self.eye_floor, "a finite number, 0 or more");
+        check(from_0(floor), "factorize.eye_floor".into(), at_least, floor.to_string())?;
+        for (i, EyeJob { eye_mm, sigma_mm, weight }) in self.eyes.iter().enumerate() {
+            let key = |name: &str| format!("factorize.eyes[{i}].{name}");
+            let is_in_front = eye_mm.iter().all(|mm| mm.is_finite()) && eye_mm[2] > 0.0;
+            check(is_in_front, key("eye_mm"), "a position in front of the display (z > 0)", format!("{eye_mm:?}"))?;
+            let is_positive = sigma_mm.is_finite() && *sigma_mm > 0.0;
+            check(is_positive, key("sigma_mm"), "a finite number above 0", sigma_mm.to_string())?;
+            check(from_0(*weight), key("weight"), at_least, weight.to_string())?;
+        }
+        Ok(())
+    }
+
     /// Converts the expected eye positions to the type of the crate `display`.
     pub(crate) fn eye_boxes(&self) -> Vec<EyeBox> {
         let boxed = |&EyeJob { eye_mm, sigma_mm, weight }: &EyeJob| EyeBox { eye_mm, sigma_mm, weight };

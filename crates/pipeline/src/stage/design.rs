@@ -167,7 +167,8 @@ impl<'a> Solver<'a> {
             key.add_json("later times", &(self.later)(job));
         }
         if !self.job.nodes.is_empty() {
-            key.add("nodes", self.nodes.as_bytes());
+            // The job's number decides if a node has all of its own iterations.
+            key.add("nodes", self.nodes.as_bytes()).add_json("is whole", &(iterations == job.iterations()));
         }
         let name = format!("{}.json", &key.finish()[..24]);
         let path = self.folder.join(&name);

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use lumistack_core::Task;
 use lumistack_core::config::nearest;
-use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
+use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, StackError, Weights};
 use lumistack_factorizer::{AUTO, Factorization, FactorizeError, Problem, StartKind};
 use lumistack_field_io::npy::NpyFile;
 use lumistack_report::{Iteration, Solution};
@@ -303,6 +303,27 @@ pub(crate) fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option
     Ok(Some(stack))
 }
 
+/// Checks that weights and warm start have the shapes of the display and its views.
+///
+/// # Errors
+/// If a shape differs, or a file cannot be read.
+pub(crate) fn check_shapes(
+    job: &FactorizeJob,
+    display: &Display,
+    geometry: &FieldGeometry,
+) -> Result<(), PipelineError> {
+    if let Some(path) = &job.weights {
+        let file = NpyFile::open(path).map_err(field_error)?;
+        let [view_rows, view_cols] = geometry.grid.views();
+        let (per_view, per_ray) = ([view_rows, view_cols], [view_rows, view_cols, geometry.rows, geometry.cols]);
+        if file.shape() != per_view && file.shape() != per_ray {
+            let expected = format!("shape {per_view:?} or {per_ray:?}, as the views");
+            return Err(PipelineError::value(path, "weights", expected, format!("{:?}", file.shape())));
+        }
+    }
+    warm_stack(job, display).map(drop)
+}
+
 /// Checks names, numbers and files of a job's table `[factorize]`, without any work. Reads only the
 /// header of the weights and the index of the warm start.
 ///
@@ -312,6 +333,7 @@ pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
     start_kind(&job.start)?;
     device::check(&job.device)?;
     job.check_tiles()?;
+    job.check_eyes()?;
     if let Some(path) = &job.weights {
         NpyFile::open(path).map_err(field_error)?;
     }

@@ -10,8 +10,9 @@ const NOISE_SHARE: f64 = 0.06;
 const LEAST_ERROR: f64 = 1e-5;
 /// Maximum number of paths per pixel, summed over all views. Every view has at least one path.
 const MOST_PATHS: usize = 3200;
-/// Allowed numbers of paths. They are few, so a small change of the display rarely changes the
-/// number. Views with another number of paths must be rendered again.
+/// Allowed numbers of paths, before [`MOST_PATHS`] limits the number. They are few, so a small
+/// change of the display rarely changes the number. Views with another number of paths must be
+/// rendered again.
 const CHOICES: [u32; 12] = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64];
 /// Measured errors, and the number of paths that follows from them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -95,7 +95,7 @@ impl TryFrom<Depth> for SeenDepth {
         if rows.checked_mul(cols) != Some(z_mm.len()) || z_mm.is_empty() {
             let found = z_mm.len();
             return Err(PluginError::Refused(format!(
-                "depth: expected {rows} × {cols} values, at least one, found {found}"
+                "depth: expected rows × cols = {rows} × {cols} values and at least one pixel, found {found} values"
             )));
         }
         Ok(Self { rows, cols, z_mm })

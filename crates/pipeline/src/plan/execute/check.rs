@@ -32,7 +32,8 @@ impl Context<'_> {
                 (PartKind::Node(_), _) => {}
                 _ => job.check()?,
             }
-            // Check settings, plugins and folders.
+            // Check settings, plugins and folders. Wrong eyes would make a wrong display.
+            job.factorize.check_eyes()?;
             let display = job.resolve_display()?;
             factorize::check(&job.factorize)?;
             plugins(job, self.registry)?;
@@ -40,11 +41,11 @@ impl Context<'_> {
             // Open the outputs of a scene, so that their plugins refuse displays that they cannot
             // show. For other inputs, the step that reads or makes the light field opens them.
             if job.scene.is_some() && !matches!(part.kind, PartKind::Node(_)) {
-                self.open_outputs(
-                    job,
-                    &display,
-                    &display.geometry().map_err(|source| display_error(source, "display"))?,
-                )?;
+                let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
+                if job.nodes.is_empty() {
+                    factorize::check_shapes(&job.factorize, &display, &geometry)?;
+                }
+                self.open_outputs(job, &display, &geometry)?;
             }
         }
         Ok(())
