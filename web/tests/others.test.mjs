@@ -193,7 +193,7 @@ for (const [name, panel] of Object.entries({ stripes: STRIPES, cells: CELLS })) 
   test(`a panel of ${name} shows in every subpixel what the plain reference does`, async () => {
     const page = await dialog();
     await choose(page, "visual.json", JSON.stringify(panel));
-    await said(page, /^Woven for LKG-TEST/);
+    await said(page, /^The picture is woven for LKG-TEST/);
     const text = await shadow(page, "(root) => { const canvas = root.querySelector('.woven'); const copy = document.createElement('canvas'); [copy.width, copy.height] = [canvas.width, canvas.height]; const context = copy.getContext('2d'); context.drawImage(canvas, 0, 0); return btoa(Array.from(context.getImageData(0, 0, canvas.width, canvas.height).data, (byte) => String.fromCharCode(byte)).join('')); }");
     const woven = Buffer.from(text, "base64");
     const get = (key) => panel[key].value;
