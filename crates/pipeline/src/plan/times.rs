@@ -114,11 +114,6 @@ impl Times {
         })
     }
 
-    /// Returns the pose of the first time step.
-    pub(crate) fn first_pose(&self, job: &Job) -> PoseJob {
-        pose_at(job, &self.sequence, 0.0)
-    }
-
     /// Returns the job of one time step.
     ///
     /// A time step after the first starts from the patterns in `before`, the folder of

@@ -32,10 +32,10 @@ impl Context<'_> {
                 (PartKind::Node(_), _) => {}
                 _ => job.check()?,
             }
-            // Check settings, plugins and folders. Wrong eyes would make a wrong display.
-            job.factorize.check_eyes()?;
-            let display = job.resolve_display()?;
+            // Check settings, plugins and folders. Wrong eyes would make a wrong display, so check
+            // them before the display.
             factorize::check(&job.factorize)?;
+            let display = job.resolve_display()?;
             plugins(job, self.registry)?;
             check_folder(&self.dir(number))?;
             // Open the outputs of a scene, so that their plugins refuse displays that they cannot

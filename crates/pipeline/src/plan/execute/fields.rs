@@ -13,6 +13,7 @@ use crate::bare::lacking;
 use crate::error::{PipelineError, display_error};
 use crate::job::Job;
 use crate::plan::steps::PartKind;
+use crate::plan::times::first_pose;
 use crate::stage::field::{Field, check_geometry};
 use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
@@ -26,10 +27,7 @@ impl Context<'_> {
     /// Loads the scene. Every run reads the scene's files, so the result is never cached.
     pub(super) fn ingest(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let job = self.job(part);
-        let pose = match &self.plan.parts[part].kind {
-            PartKind::Sequence(times) => times.first_pose(&job),
-            _ => job.pose.clone(),
-        };
+        let pose = first_pose(&job);
         let scene = job.scene.as_ref().ok_or_else(|| PipelineError::job("scene", "a scene", "none"))?;
         let cache = self.cache(part);
         let loaded = ingest::load_scene(scene, &pose, &job.importer, self.registry, &job.light, Some(&cache), task)?;
