@@ -284,12 +284,12 @@ fn leg(meshes: &str) -> String {
     let joints = "uniform token[] joints = [\"hip\", \"hip/knee\", \"hip/knee/foot\"]";
     format!(
         r#"
-        def SkelRoot "root" {{
+        def SkelRoot "Figure" {{
             def Skeleton "leg" (prepend apiSchemas = ["SkelBindingAPI"]) {{
                 {joints}
                 uniform matrix4d[] bindTransforms = [{matrices}]
                 uniform matrix4d[] restTransforms = [{local}]
-                rel skel:animationSource = </root/bent>
+                rel skel:animationSource = </Figure/bent>
             }}
             def SkelAnimation "bent" {{
                 {joints}
@@ -314,7 +314,7 @@ fn on_leg(name: &str, joints: &str, indices: [usize; 3], interpolation: &str) ->
                 interpolation = "{interpolation}"
             )
             uniform token subdivisionScheme = "none"
-            rel skel:skeleton = </root/leg>
+            rel skel:skeleton = </Figure/leg>
             uniform token[] skel:joints = [{joints}]
             int[] primvars:skel:jointIndices = [{}, {}, {}] (
                 elementSize = 1
@@ -366,13 +366,13 @@ fn blend_shapes_move_points_and_authored_normals() {
         let face = TRIANGLE.replace("[0, 1, 2]", "[0, 2, 1]");
         format!(
             r#"
-            def SkelRoot "root" (prepend apiSchemas = ["SkelBindingAPI"]) {{
-                rel skel:skeleton = </root/still>
+            def SkelRoot "Figure" (prepend apiSchemas = ["SkelBindingAPI"]) {{
+                rel skel:skeleton = </Figure/still>
                 def Skeleton "still" (prepend apiSchemas = ["SkelBindingAPI"]) {{
                     uniform token[] joints = ["one"]
                     uniform matrix4d[] bindTransforms = [((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))]
                     uniform matrix4d[] restTransforms = [((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))]
-                    rel skel:animationSource = </root/smile>
+                    rel skel:animationSource = </Figure/smile>
                 }}
                 def SkelAnimation "smile" {{
                     uniform token[] joints = ["one"]
@@ -389,7 +389,7 @@ fn blend_shapes_move_points_and_authored_normals() {
                     )
                     {joints}
                     uniform token[] skel:blendShapes = ["up", "plain"]
-                    rel skel:blendShapeTargets = [</root/face/up>, </root/face/plain>]
+                    rel skel:blendShapeTargets = [</Figure/face/up>, </Figure/face/plain>]
                     def BlendShape "up" {{
                         uniform vector3f[] offsets = [(0, 0, 2)]
                         uniform vector3f[] normalOffsets = [(0, 2, 0)]
