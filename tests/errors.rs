@@ -435,3 +435,21 @@ fn wrong_weights_and_eyes_are_reported_before_the_rendering() {
         assert!(!at("run/cache/views").exists() && !at("run/target").exists(), "{text}");
     }
 }
+
+/// A solver that cannot find patterns for a display is refused before the views are rendered, for
+/// the display of a job and for that of a node.
+#[test]
+fn unsuitable_solvers_are_reported_before_the_rendering() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let preset = std::fs::read_to_string(root().join("scenes/displays/paper-three-layer.toml")).unwrap();
+    std::fs::write(at("rotating.toml"), format!("formation = \"polarization\"\n{preset}")).unwrap();
+    let scene = root().join("scenes/letters/letters.gltf");
+    let rotating = "display.file = \"rotating.toml\"\nfactorize.solver = \"multiplicative\"\n";
+    for tables in [rotating.to_owned(), format!("[[nodes]]\nid = \"a\"\n{rotating}")] {
+        std::fs::write(at("job.toml"), format!("scene = {:?}\n{tables}", scene.to_str().unwrap())).unwrap();
+        let error = fail(lumistack().arg("run").arg(at("job.toml")).arg("-o").arg(at("run")));
+        assert!(error.contains("solver multiplicative: expected layers that attenuate or emit light"), "{error}");
+        assert!(!at("run/cache/views").exists() && !at("run/target").exists(), "{tables}");
+    }
+}

@@ -10,27 +10,30 @@ use crate::groups::{
 };
 use crate::values::Numbers;
 
+/// Heading of the options that every command has. Help pages print them after the command's own.
+const GENERAL: &str = "General options";
+
 /// Turn 3D scenes into glasses-free 3D: render a scene from many directions, and compute the
 /// patterns with which a display of stacked layers shows it.
 #[derive(Debug, Parser)]
 #[command(name = "lumistack", version, max_term_width = 110, args_override_self = true)]
 pub(crate) struct Args {
     /// After an error message, print the causes of the error
-    #[arg(short, long, global = true)]
+    #[arg(short, long, global = true, help_heading = GENERAL)]
     pub(crate) verbose: bool,
     /// Print progress and results as JSON, one object per line
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = GENERAL)]
     pub(crate) json: bool,
     /// Number of threads that compute; results do not depend on this number [default: one per
     /// logical core]
-    #[arg(long, global = true, value_name = "N")]
+    #[arg(long, global = true, value_name = "N", help_heading = GENERAL)]
     pub(crate) threads: Option<usize>,
     /// Use the plugins of a plugin library, or of all plugin libraries in a folder. The file of a
     /// plugin library is named `lumistack_plugin_NAME`, with the system's prefix and suffix. The
     /// plugins of this flag take precedence over plugins with the same id in LUMISTACK_PLUGIN_PATH
     /// and in lumistack/plugins of your data folder. The flag may be given several times
     #[cfg(feature = "dynamic")]
-    #[arg(long, global = true, value_name = "FILE|DIR")]
+    #[arg(long, global = true, value_name = "FILE|DIR", help_heading = GENERAL)]
     pub(crate) plugin_path: Vec<PathBuf>,
     #[command(subcommand)]
     pub(crate) command: Command,

@@ -19,7 +19,7 @@
 //! its value if no weighted ray hits it or if its denominator is below f32's normal range.
 
 use lumistack_core::Cancel;
-use lumistack_display::{Formation, LayerStack};
+use lumistack_display::{Display, Formation, LayerStack};
 
 use crate::device::Updater;
 use crate::engine::Processor;
@@ -41,6 +41,16 @@ impl Solver for Multiplicative {
         "The paper's multiplicative update (eq. 16), one layer after another. The error never rises; slow to converge."
     }
 
+    fn suits(&self, display: &Display) -> Result<(), FactorizeError> {
+        if display.formation == Formation::Polarization {
+            return Err(FactorizeError::Unsuitable {
+                solver: "multiplicative",
+                why: "expected layers that attenuate or emit light, found layers that rotate polarization",
+            });
+        }
+        Ok(())
+    }
+
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
         Ok(self.begin(Prepared::new(problem, start, &Processor)?)?)
     }
@@ -48,12 +58,7 @@ impl Solver for Multiplicative {
 
 impl Method for Multiplicative {
     fn begin(&self, prepared: Prepared) -> Result<Box<dyn Iterated>, FactorizeError> {
-        if prepared.display.formation == Formation::Polarization {
-            return Err(FactorizeError::Unsuitable {
-                solver: "multiplicative",
-                why: "expected layers that attenuate or emit light, found layers that rotate polarization",
-            });
-        }
+        self.suits(prepared.display)?;
         Ok(Box::new(MultiplicativeRun { state: prepared.begin(FLOOR, false)? }))
     }
 }

@@ -2,7 +2,7 @@
 //! patterns.
 
 use lumistack_core::Cancel;
-use lumistack_display::LayerStack;
+use lumistack_display::{Display, LayerStack};
 
 use crate::problem::{FactorizeError, Problem};
 
@@ -16,6 +16,14 @@ pub trait Solver: Sync {
 
     /// Returns a short text that helps users choose.
     fn doc(&self) -> &'static str;
+
+    /// Checks that the solver can find patterns for a display, before there is a target.
+    ///
+    /// # Errors
+    /// [`FactorizeError::Unsuitable`], with the reason.
+    fn suits(&self, _display: &Display) -> Result<(), FactorizeError> {
+        Ok(())
+    }
 
     /// Prepares a run from the patterns `start`; clamps their values to the solver's box.
     ///

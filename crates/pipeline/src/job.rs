@@ -407,12 +407,13 @@ impl Job {
     /// Checks names of nodes and outputs, tables that a node does not use, and inputs of outputs.
     fn check_graph(&self) -> Result<(), PipelineError> {
         let fail = |key: String, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
-        // Names of nodes are names of folders, so they must be unique, and have only characters
-        // that are allowed on every system.
+        // Names of nodes are names of folders, so they must be unique and allowed on every system.
+        // Some systems ignore the case of names.
+        let is_taken = |ids: &[&str], id: &str| ids.iter().any(|taken| taken.eq_ignore_ascii_case(id));
         let mut ids: Vec<&str> = Vec::new();
         for (i, node) in self.nodes.iter().enumerate() {
-            if !is_folder_name(&node.id) || node.id == OutputJob::LIGHT_FIELD || ids.contains(&node.id.as_str()) {
-                let expected = "a unique name of letters, digits, `-` and `_`, other than `light_field`";
+            if !is_folder_name(&node.id) || is_taken(&[OutputJob::LIGHT_FIELD], &node.id) || is_taken(&ids, &node.id) {
+                let expected = "a unique name of letters, digits, `-` and `_`, other than `light_field` and names of devices such as `nul`; case does not make names different";
                 return fail(format!("nodes[{i}].id"), expected, format!("`{}`", node.id));
             }
             ids.push(&node.id);
@@ -444,12 +445,12 @@ impl Job {
             if !is_folder_name(output.name()) {
                 return fail(
                     format!("outputs[{i}].name"),
-                    "a name of letters, digits, `-` and `_`",
+                    "a name of letters, digits, `-` and `_`, other than names of devices such as `nul`",
                     format!("`{}`", output.name()),
                 );
             }
-            if taken.contains(&(from, output.name())) {
-                let expected = "a `name` that no other output of the same node has";
+            if taken.iter().any(|(other, name)| *other == from && name.eq_ignore_ascii_case(output.name())) {
+                let expected = "a `name` that no other output of the same node has, also if case is ignored";
                 return fail(format!("outputs[{i}]"), expected, format!("`{}` twice", output.name()));
             }
             taken.push((from, output.name()));
@@ -481,10 +482,17 @@ impl Job {
     }
 }
 
-/// Returns true if a text has 1 to 100 characters, and all of them are ASCII letters, ASCII digits,
-/// `-` or `_`. Every system allows these characters in names of folders.
+/// Returns true if every system allows a text as the name of a folder. It has 1 to 100 characters,
+/// all of them ASCII letters, ASCII digits, `-` or `_`, and is not the name of a device of Windows.
 fn is_folder_name(name: &str) -> bool {
-    !name.is_empty() && name.len() <= 100 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
+    const DEVICES: [&str; 4] = ["con", "prn", "aux", "nul"];
+    const NUMBERED_DEVICES: [&str; 2] = ["com", "lpt"];
+    let lower = name.to_ascii_lowercase();
+    let is_numbered = |rest: &str| rest.len() == 1 && rest.bytes().all(|b| b.is_ascii_digit());
+    let is_device = DEVICES.contains(&lower.as_str())
+        || NUMBERED_DEVICES.iter().any(|device| lower.strip_prefix(device).is_some_and(is_numbered));
+    let is_plain = name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_');
+    (1..=100).contains(&name.len()) && is_plain && !is_device
 }
 
 #[cfg(test)]
@@ -614,6 +622,9 @@ mod tests {
             ),
             (format!("{nodes}[[nodes]]\nid = \"a\"\n"), "nodes[2].id: expected a unique name"),
             (format!("{nodes}[[nodes]]\nid = \"../a\"\n"), "nodes[2].id: expected a unique name"),
+            (format!("{nodes}[[nodes]]\nid = \"A\"\n"), "nodes[2].id: expected a unique name"),
+            (format!("{nodes}[[nodes]]\nid = \"Light_Field\"\n"), "nodes[2].id: expected a unique name"),
+            (format!("{nodes}[[nodes]]\nid = \"Lpt1\"\n"), "nodes[2].id: expected a unique name"),
             (
                 format!("{nodes}params = {{ x = 1 }}\nfactorize = {{ }}\n"),
                 "nodes[1].factorize: expected no table `factorize` in this node, since only `tensor-display` has a table `factorize`",

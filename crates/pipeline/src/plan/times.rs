@@ -198,7 +198,7 @@ impl Times {
     /// Returns the fraction of the movement that is done: 0 at the first time step and 1 at the
     /// last.
     fn share(&self, time: usize) -> f64 {
-        time as f64 / (self.count - 1).max(1) as f64
+        time as f64 / self.count.saturating_sub(1).max(1) as f64
     }
 }
 

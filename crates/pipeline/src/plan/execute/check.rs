@@ -36,6 +36,9 @@ impl Context<'_> {
             // them before the display.
             factorize::check(&job.factorize)?;
             let display = job.resolve_display()?;
+            if job.nodes.is_empty() && node::is_factorized(plan.node(number)) {
+                factorize::check_solver(&job.factorize, &display)?;
+            }
             plugins(job, self.registry)?;
             check_folder(&self.dir(number))?;
             // Open the outputs of a scene, so that their plugins refuse displays that they cannot
