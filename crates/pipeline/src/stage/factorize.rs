@@ -354,9 +354,7 @@ pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
 /// # Errors
 /// If the solver does not exist, or does not suit the display.
 pub(crate) fn check_solver(job: &FactorizeJob, display: &Display) -> Result<(), PipelineError> {
-    lumistack_factorizer::solver(&job.solver)
-        .and_then(|solver| solver.suits(display))
-        .map_err(PipelineError::Factorize)
+    lumistack_factorizer::solver(&job.solver).and_then(|solver| solver.suits(display)).map_err(PipelineError::Factorize)
 }
 
 pub(crate) fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack_factorizer::Settings, PipelineError> {
