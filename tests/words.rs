@@ -105,7 +105,9 @@ fn viewpoints_outside_the_zone_say_so() {
     let from = |flags: [&str; 2]| said(lumistack().arg("simulate").arg(&out).args(flags).arg("-o").arg(&picture));
     let text = from(["--view", "14,0"]);
     assert!(
-        text.contains("--view: from this viewpoint, all of the display is seen from outside of the display's viewing zone of ±10° × ±10°"),
+        text.contains(
+            "--view: at this viewpoint, the rays from all of the display are outside of the viewing zone of ±10° × ±10°"
+        ),
         "{text}"
     );
     assert!(from(["--eye", "100,0,600"]).contains("--eye: from this viewpoint, "));

@@ -160,8 +160,9 @@ def timed(samples, seed):
 
 def render(sampler, samples, seed, view):
     # A render with one sample takes the time of the fixed work (preparing the scene, writing the
-    # file) and of one sample. The longer render takes the same time and that of the other samples.
-    # The factor `share` extends this difference to all samples.
+    # file) and of one sample. The longer render also takes the time of its other samples. So the
+    # difference of the two times is the time of `samples` - 1 samples. The factor `share` scales
+    # this difference to all samples.
     aim(v.cameras[view])
     start, start_cpu, _ = timed(1, seed)
     seconds, cpu_s, picture = timed(samples, seed)

@@ -255,9 +255,9 @@ def gpu(path: Path) -> None:
     """Draws the speeds in the table of docs/GPU.md as bars."""
     rows = re.findall(r"^\|([^|]*)\| `(\w+)`[^|]*\| (\d+) \| (\d+) \|", (ROOT / "docs/GPU.md").read_text(), re.M)
     assert len(rows) == 4, "docs/GPU.md: expected four rows of speeds, found another number"
-    d = Drawing(760, 330, "Updates per second of a graphics processor and of a processor")
+    d = Drawing(760, 330, "Iterations per second of a graphics processor and of a processor")
     most, left, top = max(float(row[2]) for row in rows), 170, 50
-    d.text(left, 28, "updates per second", "bold", "start")
+    d.text(left, 28, "iterations per second", "bold", "start")
     d.add("rect", "bar", x=400, y=17, width=14, height=14)
     d.text(420, 29, "NVIDIA H200", "small", "start")
     d.add("rect", "bar2", x=530, y=17, width=14, height=14)

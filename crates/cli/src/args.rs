@@ -105,7 +105,7 @@ pub(crate) enum Command {
     /// List all plugins with their parameters and the library of each, and the libraries that could
     /// not be loaded
     #[command(
-        after_help = "Example:\n  lumistack plugins tensor-display\n      only this plugin, with a description of every option of its parameters"
+        after_help = "Example:\n  lumistack plugins tensor-display\n      lists only this plugin, and describes each allowed value of its parameters"
     )]
     Plugins {
         /// Ids of the plugins to list [default: all plugins]

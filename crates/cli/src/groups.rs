@@ -490,7 +490,7 @@ pub(crate) fn change_sequence(job: &mut Job, args: &SequenceArgs) {
     sequence.warm_up_times = warm_up_times.or(sequence.warm_up_times);
 }
 
-/// Makes the job that the command line describes, and its run folder.
+/// Returns the job that the command line describes, and the path of its run folder.
 pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), PipelineError> {
     let mut job = job_or_scene(input)?;
     change_display(&mut job, &args.display);

@@ -1,6 +1,6 @@
-//! Measures the updates per second of an adapter in two cases: the paper's main case, and a display
-//! with the views of a whole viewing zone. Compares these rates with the processor's rates and with
-//! the adapter's measured limits.
+//! Measures the iterations per second of an adapter in two cases: the paper's main case, and a
+//! display with the views of a whole viewing zone. Compares these rates with the processor's rates
+//! and with the adapter's measured limits.
 //!
 //! Operations and bytes per update and colour channel, with F factors and M frames:
 //!
@@ -10,7 +10,7 @@
 //! bytes                   F times: the target and all factors are read, and one factor is written
 //! ```
 //!
-//! The paper's two Quadro cards computed about 10 updates a second.
+//! The paper's two Quadro cards computed about 10 iterations per second.
 
 #[path = "../../factorizer/benches/factorize/scene.rs"]
 mod scene;

@@ -382,7 +382,7 @@ fn what_a_device_cannot_do_is_one_clear_message() {
     owned.display.layers[0].blur_px = 0.0;
     let small = message(&device.with_binding_bytes(16).unwrap(), &owned);
     assert!(small.contains("too little memory"), "{small}");
-    // Destroy another device, so that the shared device stays valid.
+    // Lose a device that only this test uses, since all tests share `device`.
     let doomed = device.with_binding_bytes(u64::MAX).unwrap();
     let mut run: Box<dyn Run> = doomed.solver("auto").unwrap().start(&owned.problem(), start.clone()).unwrap();
     run.step(&Cancel::default()).unwrap();

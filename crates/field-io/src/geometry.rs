@@ -362,9 +362,10 @@ fn spread(path: &Path, fov_deg: [f64; 2], hints: &Hints, picks: &[Vec<usize>; 2]
     }))
 }
 
-/// Returns the slopes of the lines from the plane that is now z = 0 to the cameras. The slope of
-/// one step is the step's length divided by the plane's distance. This slope equals k/f for
-/// disparity k and focal length f, both in pixels. `None` if the focal length is unknown, or if the
+/// Returns the slopes of the lines from the plane that is now z = 0 to the cameras. One step of the
+/// cameras shifts content of this plane by k pixels relative to content at infinity. So the slope
+/// of one step is k/f for the focal length f in pixels; k/f is the sum of `slope_per_step` and
+/// `focus_px` / f. `None` if the focal length is unknown, or if the
 /// plane is not in front of the cameras.
 fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> Option<[Vec<f64>; 2]> {
     let cameras = hints.cameras.as_ref()?;

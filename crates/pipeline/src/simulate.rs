@@ -106,7 +106,7 @@ impl RunFolder {
             _ => String::new(),
         };
         let zone = format!("±{}° × ±{}°{from}", round(0.5 * x), round(0.5 * y));
-        (share > 0.0).then(|| format!("from this viewpoint, {part} of the display is seen from outside of the display's viewing zone of {zone}. The solver does not constrain the light outside of the zone"))
+        (share > 0.0).then(|| format!("at this viewpoint, the rays from {part} of the display are outside of the viewing zone of {zone}. The solver does not constrain these rays"))
     }
 
     /// Returns the picture of the run from a viewpoint; see [`picture_from`].

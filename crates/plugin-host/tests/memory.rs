@@ -58,7 +58,7 @@ fn took(bytes: usize) {
     MOST.fetch_max(ALIVE.fetch_add(bytes, Relaxed) + bytes, Relaxed);
 }
 
-// SAFETY: every call is forwarded to the system allocator; the counters are independent of it.
+// SAFETY: every call is forwarded to the system allocator; the counters do not allocate.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         took(layout.size());

@@ -85,7 +85,7 @@ pub(crate) fn closed(host: &MemoryHost, when: &str) -> Result<(), Broken> {
         format!("{when}: these files stayed open: {}", host.open_files().join(", "))
     })?;
     require("every stage of progress ends", open == 0, || {
-        format!("{when}: {open} stages of progress did not end; these stages began: {}", stages.join(", "))
+        format!("{when}: {open} stages of progress did not end. All stages that began: {}", stages.join(", "))
     })
 }
 

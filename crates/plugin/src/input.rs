@@ -46,8 +46,8 @@ pub struct StackInput<'a> {
     depth: Option<SeenDepth>,
 }
 
-/// A light field: linear radiance of many views after exposure, at least 0. Only highlights exceed
-/// 1.
+/// A light field: linear radiance of many views after exposure, at least 0. Values
+/// above 1 are rare.
 #[derive(Debug)]
 pub struct FieldInput<'a> {
     lent: Lent<'a>,

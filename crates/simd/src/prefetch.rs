@@ -1,4 +1,4 @@
-//! Requests for memory that will soon be read. A request may have no effect, and any address is
+//! Prefetches of memory that will soon be read. A prefetch may have no effect, and any address is
 //! allowed.
 
 /// Requests that a cache line be loaded into all caches.

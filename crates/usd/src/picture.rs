@@ -131,7 +131,7 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
     let (width, height) = (header.layer_size.0, header.layer_size.1);
     let most = MOST_BYTES / 16;
     if width == 0 || height == 0 || (width as u64).saturating_mul(height as u64) > most {
-        return Err(format!("an OpenEXR picture of {width} × {height} texels; 1 to {most} texels are read"));
+        return Err(format!("an OpenEXR picture of {width} × {height} texels; a picture must have 1 to {most} texels"));
     }
     let blocks: usize = meta.headers.iter().map(|header| header.chunk_count).fold(0, usize::saturating_add);
     if blocks.saturating_mul(LEAST_BYTES_PER_BLOCK) > bytes.len() {

@@ -111,9 +111,9 @@ impl Inputs {
     }
 
     /// Returns the names of inputs that have no effect although the file sets them. `known` lists
-    /// inputs without a counterpart, with the default of their components. Such an input is
-    /// returned if it differs from the default, or is a texture or primvar. An input outside this
-    /// list is returned if it has a value or texture that was not read.
+    /// inputs that `Material` cannot represent, with the default of their components. A listed
+    /// input is returned if it differs from its default, or is a texture or primvar. Any other
+    /// input is returned if it has a value or texture that was not read.
     pub(crate) fn ignored(&self, known: &[(&'static str, f32)]) -> Vec<String> {
         let read = self.read.borrow();
         let matters = |name: &str, input: &Input| {

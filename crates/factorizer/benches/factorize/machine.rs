@@ -11,7 +11,7 @@ use lumistack_simd::{Backend, Function, Kernel, Lanes};
 use rayon::prelude::*;
 
 /// Number of independent sums per thread. It exceeds latency × number of multiply-add units of
-/// common cores, so that all units are busy. All sums fit into 16 registers.
+/// common x86-64 cores, so that all units are busy. All sums fit into 16 registers.
 const SUMS: usize = 12;
 /// Number of multiply-adds per sum in one measurement, which takes some 20 ms.
 const ROUNDS: u64 = 6_000_000;

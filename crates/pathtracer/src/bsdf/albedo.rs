@@ -84,7 +84,7 @@ pub(crate) struct Albedo {
 
 impl Albedo {
     /// Returns the albedo of the lobe with Fresnel's term, before compensation. `rise` is B of the
-    /// lobe's material, as in `metal` and `dielectric`.
+    /// lobe's material, for example the field `metal`.
     #[inline]
     pub(crate) fn reflected(&self, f0: Vec3, f90: f32, rise: f32) -> Vec3 {
         f0 * (self.full - rise) + f90 * rise

@@ -58,7 +58,8 @@ impl<'a> Executor<'a> {
         }
     }
 
-    /// Executes all steps. The caller has locked the run folder.
+    /// Executes all steps, except the designs and the table of a sweep. The caller has locked the
+    /// run folder.
     ///
     /// # Errors
     /// If a step fails or is cancelled. Finished steps are kept, and the next run reuses them.

@@ -322,8 +322,8 @@ fn by_views(
     writer.finish(Path::new("samples")).map_err(field_error)
 }
 
-/// Returns the sections of a job, whose windows have the right sizes but not the right places in a
-/// scene. Empty if the job needs no measurement.
+/// Returns the sections of the picture that a measurement would use. Their windows have the right
+/// sizes, but not the right places in the scene. Empty if the job needs no measurement.
 fn sizes_of_parts(job: &Job, display: &Display, geometry: &FieldGeometry) -> Vec<Part> {
     let is_chosen = !matches!(display.field.views, Views::Fixed(_));
     if !(job.render.samples_are_measured() && is_chosen) {

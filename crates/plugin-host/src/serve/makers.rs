@@ -280,7 +280,11 @@ unsafe extern "C" fn stack_layer(
         let Stack { made: Made { stack, .. }, frames, given_layers, .. } = &mut *built;
         let what = || format!("layer {layer}, frame {frame}");
         if layer >= stack.layers.len() || frame >= *frames {
-            let text = format!("{}: expected a layer below {} and a frame below {frames}", what(), stack.layers.len());
+            let text = format!(
+                "{}: expected an index of a layer less than {} and an index of a frame less than {frames}",
+                what(),
+                stack.layers.len()
+            );
             return Err(PluginError::Refused(text));
         }
         let [_, rows, cols, channels] = stack.layers[layer].shape();

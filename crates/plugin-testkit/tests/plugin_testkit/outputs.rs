@@ -11,7 +11,8 @@ use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_testkit::{MemoryHost, Sample, conformance, samples};
 use serde_json::{Value, json};
 
-/// An output that writes all input as text. Its parameter `fault` selects a violation of the rules.
+/// An output that writes its input as text, but only the first frame of the backlight. Its
+/// parameter `fault` selects a violation of the rules.
 struct Probe {
     host: Host,
     fault: String,

@@ -459,8 +459,8 @@ mod tests {
         // a small object in the middle gets the closest view
         let small = mask(100, 160, |row, col| row.abs_diff(50) < 5 && col.abs_diff(80) < 5);
         assert_eq!(closer(&small).0, CLOSEST);
-        // an object that covers a seventh of the view gets a view of which it covers about a
-        // quarter
+        // if an object covers a seventh of the view, the camera comes closer until the object
+        // covers about a quarter
         let seventh = mask(100, 160, |row, col| row.abs_diff(50) < 24 && col.abs_diff(80) < 24);
         let factor = closer(&seventh).0;
         let covered = seventh.data().iter().sum::<f32>() / 16000.0;

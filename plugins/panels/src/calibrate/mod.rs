@@ -46,7 +46,7 @@ pub enum CalibrationError {
     },
     /// The camera model does not fit the crosses.
     #[error(
-        "photograph of layer {layer}: the crosses do not fit a camera's perspective: expected a reprojection error of at most 3 pixels, found {rms_px:.1} pixels. Take a sharp photograph of the whole array"
+        "photograph of layer {layer}: the crosses do not fit a camera's perspective: expected a reprojection error of at most 3 pixels, found {rms_px:.1} pixels. Take a sharp photograph that shows all crosses"
     )]
     Fit {
         /// Index of the photographed layer.
