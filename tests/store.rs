@@ -123,10 +123,10 @@ fn views_that_share_light_are_made_again_together() {
         let names = fs::read_dir(&target).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
         names.filter(|name| name.starts_with("split_")).collect()
     };
-    assert_eq!(parts(), ["split_01_01.exr"], "only the middle view, which the report shows, stays as a split view");
+    assert_eq!(parts(), ["split_01_01.bin"], "only the middle view, which the report shows, stays as a split view");
     succeed(&mut render(&run));
     assert!(cached(&run, "render"));
-    for name in ["shared/view_00_02.exr", "split_01_01.exr"] {
+    for name in ["shared/view_00_02.exr", "split_01_01.bin"] {
         damage(&target.join(name));
         succeed(&mut render(&run));
         assert!(!cached(&run, "render"), "the damage of {name} is not detected");

@@ -33,6 +33,7 @@ mod distribution;
 mod geometry;
 mod lambert;
 mod light;
+mod light16;
 mod math;
 mod normals;
 mod primary;

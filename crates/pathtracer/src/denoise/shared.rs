@@ -50,7 +50,7 @@ use lumistack_display::{FieldGeometry, Projection};
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;
 
-use crate::SplitView;
+use crate::{SplitView, light16};
 
 /// Distance of one point from the plane of another point, in pixels, at which the weight has fallen
 /// to about a third.
@@ -61,52 +61,54 @@ const LEAST_COSINE: f32 = 0.8;
 /// be shared.
 const LEAST_REFLECTANCE: f32 = 0.02;
 
-/// Data of a pixel for the filter. It is kept small, 20 bytes, since the pixels of all views are in
-/// memory together.
+/// Data of a pixel for the filter. It is kept small, 16 bytes, since the pixels of all views are in
+/// memory or in a file together.
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {
-    /// E, which the top of the file defines. In the first pass it comes from the pixel's own
-    /// samples. In the second pass it is the mean over the pixel's row of views.
-    light: Light,
     z_mm: f32,
-    /// Unit normal, times 127; 0 if the surface does not scatter light by Lambert's law.
+    /// E, which the top of the file defines, as codes of [`light16`]. In the first pass it comes
+    /// from the pixel's own samples. In the second pass it is the mean over the pixel's row of
+    /// views.
+    light: [u16; 3],
+    /// 1 if another view has contributed to E, otherwise 0.
+    is_shared: u16,
+    /// Unit normal, times [`UNIT`]; 0 if the surface does not scatter light by Lambert's law.
     normal: [i8; 3],
     /// Weight of E, times 255: the largest channel of the reflectance of the surfaces that the
     /// paths hit.
     weight: u8,
 }
 
-// SAFETY: sixteen bytes of floats and four single bytes, without gaps
+// SAFETY: one float, four 16-bit numbers and four single bytes, without gaps
 unsafe impl Plain for Point {}
 
-/// Light divided by reflectance. No value is negative, so the sign of the first channel stores one
-/// bit. The sign is negative (also −0) until another view that sees the same surface has
-/// contributed.
+/// Mean of E over the views that see a point, as codes of [`light16`]. The first code is [`ALONE`]
+/// if no other view sees the point.
 #[derive(Clone, Copy, Default)]
 #[repr(transparent)]
-struct Light([f32; 3]);
+struct Light([u16; 3]);
 
-// SAFETY: three floats, without gaps
+// SAFETY: three 16-bit numbers, without gaps
 unsafe impl Plain for Light {}
 
+/// First code of the light of a point that no other view sees.
+const ALONE: u16 = u16::MAX;
+/// Length of a unit normal in a [`Point`].
+const UNIT: f32 = 127.0;
+
 impl Light {
-    fn new(rgb: Vec3, is_shared: bool) -> Self {
-        let [r, g, b] = rgb.to_array();
-        Self([r.copysign(if is_shared { 1.0 } else { -1.0 }), g, b])
+    fn shared(rgb: Vec3) -> Self {
+        let [r, g, b] = rgb.to_array().map(light16::encode);
+        Self([r.min(ALONE - 1), g, b])
     }
 
-    fn rgb(self) -> Vec3 {
-        let [r, g, b] = self.0;
-        Vec3::new(r.abs(), g, b)
-    }
-
-    fn is_shared(self) -> bool {
-        self.0[0].is_sign_positive()
+    fn codes(self) -> Option<[u16; 3]> {
+        (self.0[0] != ALONE).then_some(self.0)
     }
 }
 
-/// Light that the views of a light field are to share. It takes 32 bytes for every ray.
+/// Light that the views of a light field are to share. It takes 22 bytes for every ray.
 pub struct SharedLight<'a> {
     geometry: &'a FieldGeometry,
     /// Number of views added.
@@ -190,10 +192,12 @@ impl<'a> SharedLight<'a> {
             announce(of_points, size_of_val(points));
             announce(of_light, size_of_val(light));
             for (point, light) in points.iter_mut().zip(light) {
-                point.light = *light;
-                // If the pixel's own paths missed the surface, the pixel now has light from other
-                // views of the same row. So its weight must not be 0.
-                point.weight = point.weight.max(u8::from(light.is_shared()));
+                if let Some(codes) = light.codes() {
+                    (point.light, point.is_shared) = (codes, 1);
+                    // If the pixel's own paths missed the surface, the pixel now has light from
+                    // other views of the same row. So its weight must not be 0.
+                    point.weight = point.weight.max(1);
+                }
             }
         };
         #[cfg(feature = "parallel")]
@@ -214,7 +218,8 @@ impl MeanLight {
         let light = self.light.part(number * rows * cols..(number + 1) * rows * cols);
         for (i, (rgb, light)) in radiance.data_mut().chunks_exact_mut(3).zip(light).enumerate() {
             let pixel = view.at(i / cols, i % cols);
-            let diffuse = if light.is_shared() { divisor(pixel.reflectance) * light.rgb() } else { pixel.diffuse };
+            let shared = |codes: [u16; 3]| divisor(pixel.reflectance) * Vec3::from_array(codes.map(light16::decode));
+            let diffuse = light.codes().map_or(pixel.diffuse, shared);
             rgb.copy_from_slice(&(pixel.other + diffuse).to_array());
         }
         radiance
@@ -230,22 +235,30 @@ impl Point {
         let pixel = view.at(row, col);
         let is_lit = pixel.reflectance.max_element() > 0.0;
         let normal = if is_lit { pixel.normal } else { Vec3::ZERO };
+        let light = pixel.diffuse / divisor(pixel.path_reflectance);
         Self {
-            light: Light::new(pixel.diffuse / divisor(pixel.path_reflectance), false),
             z_mm: pixel.z_mm,
-            normal: normal.to_array().map(|n| (127.0 * n).round() as i8),
+            light: light.to_array().map(light16::encode),
+            is_shared: 0,
+            normal: normal.to_array().map(|n| (UNIT * n).round() as i8),
             // the cast saturates
             weight: (255.0 * pixel.path_reflectance.max_element()).ceil() as u8,
         }
     }
+}
 
-    fn is_lit(&self) -> bool {
-        self.normal != [0; 3]
-    }
-
-    fn normal(&self) -> Vec3 {
-        Vec3::from_array(self.normal.map(f32::from)) / 127.0
-    }
+/// A pixel of the view whose mean light is computed, prepared for the comparison with the pixels of
+/// other views.
+struct Own {
+    col: usize,
+    z_mm: f32,
+    /// Factor from a difference of slopes, in pixels per millimetre, to the shift of the point
+    /// between two views, pixels.
+    depth: f32,
+    /// Factor from a difference of z to the distance of a point from this point's plane, relative
+    /// to the distance at which the weight is 0.
+    slant: f32,
+    normal: [i32; 3],
 }
 
 fn divisor(reflectance: Vec3) -> Vec3 {
@@ -298,15 +311,36 @@ fn of_view(
     let slope_of = |view: usize| DVec2::new(grid.slope_x[view % view_cols], grid.slope_y[view / view_cols]);
     let of_view = |view: usize| &points[view * rows * cols..][..rows * cols];
     let own = of_view(index);
-    let (mut sums, mut weights) = (vec![Vec3::ZERO; cols], vec![0.0f32; cols]);
+    let (rows_f, cols_f) = (rows as f32, cols as f32);
+    let slant = 0.5 / (PLANE_SCALE * pitch as f32 * UNIT);
+    // the smallest product of two normals at which the surfaces are treated as equal
+    let least_product = (LEAST_COSINE * UNIT * UNIT).ceil() as i32;
+    let mut lit: Vec<Own> = Vec::with_capacity(cols);
+    // sums of the weighted light, and of the weights
+    let mut sums = vec![[0.0f32; 4]; cols];
     let mut shared = vec![false; cols];
     for (row, light) in light.chunks_exact_mut(cols).enumerate() {
         let line = &own[row * cols..][..cols];
         announce(cols);
-        // begin with the view's own light
-        for (((sum, weight), is_shared), point) in sums.iter_mut().zip(&mut weights).zip(&mut shared).zip(line) {
-            *weight = f32::from(point.weight);
-            (*sum, *is_shared) = (*weight * point.light.rgb(), point.light.is_shared());
+        lit.clear();
+        for (col, point) in line.iter().enumerate() {
+            // begin with the view's own light
+            let weight = f32::from(point.weight);
+            let [r, g, b] = point.light.map(light16::decode);
+            sums[col] = [weight * r, weight * g, weight * b, weight];
+            shared[col] = point.is_shared != 0;
+            if point.normal == [0; 3] {
+                continue;
+            }
+            // In both views a point at (X, z) appears at the x for which x + s z = X. In a
+            // perspective view, the slope s at x is the view's central slope minus x /
+            // `distance_mm`.
+            let depth = match grid.projection {
+                Projection::Oblique => point.z_mm,
+                Projection::Perspective { distance_mm } => point.z_mm / (1.0 - point.z_mm / distance_mm as f32),
+            };
+            let normal = point.normal.map(i32::from);
+            lit.push(Own { col, z_mm: point.z_mm, depth, slant: slant * normal[2] as f32, normal });
         }
         for &other in partners.iter().filter(|other| **other != index) {
             // add the light of every other view that sees the same point
@@ -314,42 +348,35 @@ fn of_view(
             let (turn_x, turn_y) = (turn.x as f32, turn.y as f32);
             let seen = of_view(other);
             let (mut first, mut last) = (usize::MAX, 0);
-            for (col, point) in line.iter().enumerate() {
-                if !point.is_lit() {
+            for point in &lit {
+                // The sums are not negative, so the conversion to whole numbers rounds down. It is
+                // faster than `round`, which is a call on processors without SSE 4.1.
+                let x = point.col as f32 + turn_x * point.depth + 0.5;
+                let y = row as f32 - turn_y * point.depth + 0.5;
+                if !(x >= 0.0 && y >= 0.0 && x < cols_f && y < rows_f) {
                     continue;
                 }
-                let normal = point.normal();
-                // In both views a point at (X, z) appears at the x for which x + s z = X. In a
-                // perspective view, the slope s at x is the view's central slope minus x /
-                // `distance_mm`.
-                let depth = match grid.projection {
-                    Projection::Oblique => point.z_mm,
-                    Projection::Perspective { distance_mm } => point.z_mm / (1.0 - point.z_mm / distance_mm as f32),
-                };
-                let x = (col as f32 + turn_x * depth).round();
-                let y = (row as f32 - turn_y * depth).round();
-                if !(x >= 0.0 && y >= 0.0 && x < cols as f32 && y < rows as f32) {
-                    continue;
-                }
-                let at = y as usize * cols + x as usize;
+                let at = y as i32 as usize * cols + x as i32 as usize;
                 (first, last) = (first.min(at), last.max(at));
                 let there = &seen[at];
-                if !there.is_lit() || normal.dot(there.normal()) < LEAST_COSINE {
+                let [nx, ny, nz] = there.normal.map(i32::from);
+                if point.normal[0] * nx + point.normal[1] * ny + point.normal[2] * nz < least_product {
                     continue;
                 }
                 // `point` and `there` are on the ray of one pixel, apart from the rounding to whole
                 // pixels. So they differ only in depth.
-                let off = normal.z * (there.z_mm - point.z_mm) / pitch as f32;
-                let nearness = (1.0 - off * off * (0.25 / (PLANE_SCALE * PLANE_SCALE))).max(0.0);
+                let off = point.slant * (there.z_mm - point.z_mm);
+                let nearness = (1.0 - off * off).max(0.0);
                 let weight = (nearness * nearness) * (nearness * nearness) * f32::from(there.weight);
-                sums[col] += weight * there.light.rgb();
-                weights[col] += weight;
-                shared[col] |= weight > 0.0;
+                let [r, g, b] = there.light.map(light16::decode);
+                let sum = &mut sums[point.col];
+                *sum = [sum[0] + weight * r, sum[1] + weight * g, sum[2] + weight * b, sum[3] + weight];
+                shared[point.col] |= weight > 0.0;
             }
             announce((last + 1).saturating_sub(first));
         }
-        for (((light, sum), weight), is_shared) in light.iter_mut().zip(&sums).zip(&weights).zip(&shared) {
-            *light = Light::new(if *weight > 0.0 { *sum / *weight } else { Vec3::ZERO }, *is_shared);
+        for ((light, [r, g, b, weight]), is_shared) in light.iter_mut().zip(&sums).zip(&shared) {
+            *light = if *is_shared { Light::shared(Vec3::new(*r, *g, *b) / *weight) } else { Light([ALONE, 0, 0]) };
         }
     }
 }

@@ -8,7 +8,7 @@
 //! After a stop, traced views are reused, but a filter that did not finish filters all views again.
 //! The filters `guided` and `oidn` use the same halves. For the filter `shared`, the path tracer
 //! separates two kinds of light: light that views share, and all other light. A view then has one
-//! file, `split_YY_XX.exr`, instead of two halves.
+//! file, `split_YY_XX.bin`, instead of two halves.
 
 mod oidn;
 

@@ -86,6 +86,11 @@ impl KeyBuilder {
         self
     }
 
+    /// Returns the key.
+    pub(crate) fn bytes(&self) -> [u8; 32] {
+        self.0.finalize().into()
+    }
+
     /// Returns the key, hexadecimal.
     pub(crate) fn finish(&self) -> String {
         self.0.finalize().to_hex().to_string()

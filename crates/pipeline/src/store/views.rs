@@ -5,10 +5,12 @@
 //! no stamp. Therefore each view has a hash of its own. The hash includes the name, so a copy of
 //! another view is invalid.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
+use lumistack_field_io::atomic;
 use lumistack_field_io::picture::{self, Picture, Precision};
 use rayon::prelude::*;
 
@@ -32,7 +34,7 @@ pub(crate) fn variance_path(folder: &Path, view: [usize; 2], half: Option<usize>
 
 /// Returns the path of a view whose diffuse and other light are separate.
 pub(crate) fn split_path(folder: &Path, view: [usize; 2]) -> PathBuf {
-    folder.join(format!("split_{:02}_{:02}.exr", view[0], view[1]))
+    folder.join(format!("split_{:02}_{:02}.bin", view[0], view[1]))
 }
 
 /// Returns the path of the file with the guides of a view, or with the guides of a half of its
@@ -75,16 +77,31 @@ fn splat_rows(rows: usize) -> usize {
 /// Reads a view whose diffuse and other light are separate, traced with these settings; `None` if
 /// the file is missing or damaged.
 pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry, settings: &Settings) -> Option<SplitView> {
-    SplitView::from_values(read_values(path, geometry, SplitView::values_of(settings))?)
+    let (rows, cols) = (geometry.rows, geometry.cols);
+    // Read no more bytes than the file should have.
+    let length = (size_of::<Seal>() + rows * cols * SplitView::packed_bytes(settings)) as u64;
+    if std::fs::metadata(path).ok()?.len() != length {
+        return None;
+    }
+    let bytes = std::fs::read(path).ok()?;
+    let (seal, packed) = bytes.split_first_chunk()?;
+    (*seal == split_seal(path, [cols, rows], packed)).then(|| SplitView::from_bytes(packed, [rows, cols], settings))?
 }
 
-/// Writes a view whose diffuse and other light are separate. The file has several pictures, one
-/// below the other, with three values per pixel each.
+/// Writes a view whose diffuse and other light are separate: a hash, and the packed values. A light
+/// field may have hundreds of such views, which all exist at the same time. As a picture of single
+/// floats, a view would take 2.4 times the space, and reading it four times the time.
 ///
 /// # Errors
 /// If the file cannot be written.
 pub(crate) fn write_split(path: &Path, split: &SplitView) -> Result<(), PipelineError> {
-    write_values(path, split.values())
+    let ([rows, cols], packed) = (split.size(), split.to_bytes());
+    let seal = split_seal(path, [cols, rows], &packed);
+    let write = |writer: &mut atomic::Writer<'_>| {
+        writer.write_all(&seal)?;
+        writer.write_all(&packed)
+    };
+    atomic::write(path, write).map_err(field_error)
 }
 
 /// Reads the guides of a view; `None` if the file is missing or damaged.
@@ -182,6 +199,14 @@ pub(crate) fn read_picture(path: &Path, size: [usize; 2]) -> Option<Vec<f32>> {
     }
     let rgb = picture.into_linear();
     (note? == seal(path, size, &rgb)).then_some(rgb)
+}
+
+/// Hash of a view's name, size and values.
+type Seal = [u8; 32];
+
+fn split_seal(path: &Path, size: [usize; 2], packed: &[u8]) -> Seal {
+    let name = path.file_name().unwrap_or_default().as_encoded_bytes();
+    KeyBuilder::new("split", &[]).add("name", name).add_json("size", &size).add("values", packed).bytes()
 }
 
 fn seal(path: &Path, size: [usize; 2], rgb: &[f32]) -> String {
