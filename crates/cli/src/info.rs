@@ -7,7 +7,7 @@ use lumistack_core::config::nearest;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
     ImporterJob, Job, LightJob, PipelineError, PoseJob, Prediction, Registry, SceneContents, describe_light_field,
-    is_blend, is_usd, lacking, load_scene, memory_of, plugin_list, plugin_text, predict, presets, refused_outputs,
+    is_blend, is_usd, lacking, load_scene, needs_of, plugin_list, plugin_text, predict, presets, refused_outputs,
 };
 use lumistack_scene::{Bounds, Cloud, Scene};
 use lumistack_usd::VariantSet;
@@ -234,8 +234,9 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     };
     let mut value =
         json!({ "job": serde_json::to_value(&job).expect("jobs serialize"), "display": display(&resolved)["display"] });
-    if let Some(bytes) = memory_of(&job) {
-        value["memory of a run"] = format!("at most {}", size_text(bytes)).into();
+    if let Some([memory, disk]) = needs_of(&job) {
+        value["memory of a run"] = format!("at most {}", size_text(memory)).into();
+        value["disk space of a run"] = format!("at most {}", size_text(disk)).into();
     }
     if !refused.is_empty() {
         value["outputs that a run would refuse"] = refused.into();

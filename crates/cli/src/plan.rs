@@ -86,9 +86,10 @@ fn table(plan: &Plan) -> Vec<String> {
     let seconds = plan_seconds(plan);
     let most = plan.steps.iter().map(|step| step.memory_bytes).max().unwrap_or(0);
     let cached = plan.steps.iter().filter(|step| step.cached == Some(true)).count();
-    let (count, time, memory) = (plan.steps.len(), duration_text(seconds), size_text(most));
+    let (count, time) = (plan.steps.len(), duration_text(seconds));
+    let (memory, disk) = (size_text(most), size_text(plan.disk_bytes));
     lines.push(format!(
-        "number of steps in {}: {count}; number of cached steps: {cached}; estimated time {time}, at most {memory} of memory",
+        "number of steps in {}: {count}; number of cached steps: {cached}; estimated time {time}, at most {memory} of memory and {disk} of disk space",
         plan.folder.display()
     ));
     lines

@@ -91,7 +91,7 @@ pub use lumistack_factorizer_gpu::{Adapter as GpuAdapter, adapters as gpu_adapte
 pub use lumistack_plugin_host::{Launcher, plugin_child};
 pub use lumistack_plugin_host::{OutputData, PresentContext, PresenterInput, PresenterOutput, Registry, present};
 pub use lumistack_shot::automatic_tone_mapping;
-pub use plan::estimate::memory_of;
+pub use plan::estimate::needs_of;
 pub use plan::steps::{Plan, Step};
 pub use plan::sweep::SweepSummary;
 pub use plan::units::BlockSize;

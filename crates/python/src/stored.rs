@@ -73,10 +73,11 @@ pub(crate) fn remove_stale(folder: &Path, old: &[String], views: [usize; 2]) -> 
 }
 
 /// Checks that a path can become a folder of this content. A path that does not exist must not have
-/// the suffix of a file. An existing folder must not have the other content.
+/// the suffix of a file. An existing folder must have neither the other content, nor files of other
+/// programs with the names of this content.
 ///
 /// # Errors
-/// SettingError for the suffix of a file, FileError for a folder of the other content.
+/// SettingError for the suffix of a file, FileError for a folder of other content.
 pub(crate) fn check_free(py: Python<'_>, folder: &Path, holds: Holds) -> PyResult<()> {
     let suffix = folder.extension().map(|suffix| suffix.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if FILES.contains(&&*suffix) && !folder.exists() {
@@ -97,7 +98,25 @@ pub(crate) fn check_free(py: Python<'_>, folder: &Path, holds: Holds) -> PyResul
         );
         return Err(exception(py, "FileError", &message));
     }
+    // Content of save() has an index. Without an index, files with these names are from elsewhere.
+    let (index, names) = match holds {
+        Holds::Views => (INDEX.to_owned(), vec!["view_00_00.exr", "view_000_000.exr"]),
+        Holds::Patterns => (format!("layers/{}", StackIndex::FILE), vec!["display.toml", "layers"]),
+    };
+    let foreign = |name: &&str| !folder.join(&index).is_file() && is_full(&folder.join(name));
+    if let Some(name) = names.into_iter().find(foreign) {
+        let message = format!(
+            "{}: expected a free folder for {what}, found `{name}` of another program; give another folder",
+            folder.display()
+        );
+        return Err(exception(py, "FileError", &message));
+    }
     Ok(())
+}
+
+/// Returns true for a file, and for a folder that is not empty.
+fn is_full(path: &Path) -> bool {
+    path.is_file() || std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some())
 }
 
 fn read(index: &Path) -> Option<Map<String, Value>> {

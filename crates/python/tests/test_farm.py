@@ -89,6 +89,19 @@ def cluster() -> Iterator[Any]:
         yield client
 
 
+def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
+    """A worker that is spawned imports the script. Without a guard, the script then calls farm() again."""
+    script = tmp_path / "farm_of_mine.py"
+    lines = ["import multiprocessing, lumistack.farm", "try:", "    lumistack.farm.plan('nothing.toml', 'run')"]
+    lines += ["except lumistack.farm.FarmError as error:", "    print(error, flush=True)", "if __name__ == '__main__':"]
+    lines += ["    child = multiprocessing.get_context('spawn').Process(target=print)", "    child.start()", "    child.join()"]
+    script.write_text("\n".join(lines))
+    found = subprocess.run([sys.executable, script], capture_output=True, text=True, cwd=tmp_path, check=True)
+    first, second = found.stdout.strip().splitlines()
+    assert "nothing.toml" in first and "after `if __name__ ==" in second
+
+
+
 def test_two_workers_give_the_bytes_of_one_machine(place: Path, job: Path, expected: dict[str, bytes], cluster: Any) -> None:
     events: list[dict[str, Any]] = []
     outcome = lumistack.farm.run(job, place / "two", options=BLOCKS, client=cluster, threads=1, tell=events.append)

@@ -171,7 +171,7 @@ def test_plots_show_what_they_say(light_field: lumistack.LightField) -> None:
     ax = light_field.plot((0, 2))
     (image,) = ax.get_images()
     assert image.get_extent() == [-12.0, 12.0, -8.0, 8.0]
-    assert numpy.array_equal(image.get_array(), _show._srgb(light_field[0, 2]))
+    assert numpy.array_equal(image.get_array(), lumistack.srgb(light_field[0, 2]))
     assert light_field.plot(ax=ax) is ax
     stack = light_field.factorize(iterations=5)
     assert light_field.plot((0, 0)).get_title().startswith("view [0, 0], slope (\N{MINUS SIGN}0.1")

@@ -99,6 +99,13 @@ def test_a_folder_holds_one_thing(light_field: LightField, tmp_path: Path) -> No
             light_field.save(path)
     with pytest.raises(lumistack.FileError, match="expected a free folder for patterns, found a light field"):
         stack.save(tmp_path / "views.v2")
+    for name, save in (("display.toml", stack.save), ("layers/mine.txt", stack.save), ("view_00_00.exr", light_field.save)):
+        folder = tmp_path / name.replace("/", "-")
+        (folder / name).parent.mkdir(parents=True)
+        (folder / name).write_text("mine")
+        with pytest.raises(lumistack.FileError, match="of another program; give another folder"):
+            save(folder)
+        assert (folder / name).read_text() == "mine" and len(list(folder.rglob("*.*"))) == 1
     assert LayerStack.open(tmp_path / "run").frames == 2 and not (tmp_path / "views.v2" / "layers").exists()
 
 

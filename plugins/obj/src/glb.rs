@@ -95,12 +95,22 @@ fn primitive(arrays: &mut Arrays, mesh: &Mesh, materials: usize) -> Value {
         let downwards: Vec<f32> = mesh.texcoords.chunks_exact(2).flat_map(|uv| [uv[0], 1.0 - uv[1]]).collect();
         attributes["TEXCOORD_0"] = arrays.floats(&downwards, "VEC2", 2).into();
     }
+    if mesh.vertex_color.len() == mesh.positions.len() {
+        let linear: Vec<f32> = mesh.vertex_color.iter().map(|code| linear_of(*code)).collect();
+        attributes["COLOR_0"] = arrays.floats(&linear, "VEC3", 3).into();
+    }
     let indices = arrays.add(mesh.indices.iter().map(|i| i.to_le_bytes()), "SCALAR", UNSIGNED_INT, 1, INDICES);
     let mut primitive = json!({"attributes": attributes, "indices": indices});
     if let Some(material) = mesh.material_id.filter(|material| *material < materials) {
         primitive["material"] = material.into();
     }
     primitive
+}
+
+/// Converts an sRGB-encoded value 0..1 to linear light (IEC 61966-2-1).
+fn linear_of(encoded: f32) -> f32 {
+    let encoded = encoded.clamp(0.0, 1.0);
+    if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
 }
 
 fn bounds(positions: &[f32]) -> ([f32; 3], [f32; 3]) {

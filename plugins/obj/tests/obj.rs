@@ -167,3 +167,19 @@ fn pictures_are_found_beside_their_material_file() {
     assert!(all.contains("the picture C:\\Users\\me\\wood.png is left out"), "{all}");
     assert!(all.contains("only some faces have texture coordinates"), "{all}");
 }
+
+/// Six values after `v` are a position and an sRGB colour, as MeshLab, trimesh and Blender write
+/// them. The colours of the mesh are linear.
+#[test]
+fn colours_of_vertices_arrive() {
+    let text = "v 0 0 0 1 0.5 0\nv 1 0 0 0 0 1.5\nv 0 1 0 -1 0.04 1\nf 1 2 3\n";
+    let files = Files(BTreeMap::from([("a.obj", text)]));
+    let bytes = document(&files, &json!({}), &MemoryHost::new()).unwrap();
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let scene = lumistack_gltf::load("a.glb", &bytes, &files, Task::quiet(&warnings, &cancel)).unwrap();
+    let expected = [[1.0, 0.214_041, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.003_095_98, 1.0, 1.0]];
+    for (color, expected) in scene.meshes[0].colors.iter().zip(expected) {
+        assert!(color.abs_diff_eq(expected.into(), 1e-6), "{color} {expected:?}");
+    }
+    assert_eq!(scene.meshes[0].colors.len(), 3);
+}

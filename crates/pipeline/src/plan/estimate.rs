@@ -25,7 +25,8 @@ use lumistack_shot::Depths;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::steps::{PartKind, Plan, StepKind};
+use super::disk::{self, Disk};
+use super::steps::{PartKind, Plan, Step, StepKind};
 use crate::error::PipelineError;
 use crate::job::{Denoise, Job};
 use crate::reader::is_capture;
@@ -113,6 +114,8 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     let records: Records = read_json(&plan.folder.join(FILE)).unwrap_or_default();
     let keys = keys(plan, &records, registry);
     let (machine, sizes) = (multiply_adds_per_second(), sizes(plan));
+    let of_step = |step: &Step| sizes[step.part].as_ref().map_or([0, 0], |sizes| sizes.disk.of_step(step.kind));
+    plan.disk_bytes = disk::together(plan.steps.iter().map(of_step));
     for (index, key) in keys.into_iter().enumerate() {
         let record = records.get(&plan.steps[index].id);
         // Without a record, the result is not cached. Without a key, only a run can find out if the
@@ -280,6 +283,7 @@ struct Sizes {
     /// Number of paths of the measurement that chooses the number of samples.
     measured_paths: f64,
     memory: Memory,
+    disk: Disk,
 }
 
 /// Memory of a part's data, bytes, with a field for each kind of data. Light fields in mapped files
@@ -330,6 +334,7 @@ impl Sizes {
         };
         Some(Self {
             memory: Memory::of(job, &display, &geometry, &others),
+            disk: Disk::of(job, &display, &geometry, &others),
             pixels: (geometry.rows * geometry.cols) as f64,
             views: geometry.grid.iter().count() as f64,
             others: (count(&others[0]) + count(&others[1])) as f64,
@@ -491,18 +496,23 @@ const FURTHER_TIMES: f64 = 1.8;
 /// values of its first paths, of the further paths, and of all paths together.
 const FURTHER_VALUES: f64 = 64.0;
 
-/// Returns an upper bound of the memory of a job's run, bytes; `None` if its display or its light
-/// field cannot be read. See [`Step::memory_bytes`](super::steps::Step::memory_bytes).
-pub fn memory_of(job: &Job) -> Option<u64> {
+/// Returns upper bounds of the memory and of the disk space of a job's run, bytes; `None` if its
+/// display or its light field cannot be read. See
+/// [`Step::memory_bytes`](super::steps::Step::memory_bytes) and
+/// [`Plan::disk_bytes`](super::steps::Plan::disk_bytes).
+pub fn needs_of(job: &Job) -> Option<[u64; 2]> {
     let job = job.with_automatic_settings();
     let sizes = Sizes::of(&job)?;
     let made = match (&job.scene, &job.light_field) {
-        (Some(_), _) => [StepKind::Place, StepKind::Trace, StepKind::Denoise, StepKind::Expose].as_slice(),
+        (Some(_), _) => {
+            [StepKind::Place, StepKind::Trace, StepKind::Denoise, StepKind::Expose, StepKind::Score].as_slice()
+        }
         (None, Some(_)) => &[StepKind::Read],
         (None, None) => &[StepKind::Source],
     };
-    let kinds = made.iter().chain(&[StepKind::Patterns, StepKind::Report]);
-    kinds.map(|kind| bytes(*kind, &job, &sizes)).max()
+    let kinds = || made.iter().chain(&[StepKind::Patterns, StepKind::Report]);
+    let memory = kinds().map(|kind| bytes(*kind, &job, &sizes)).max()?;
+    Some([memory, disk::together(kinds().map(|kind| sizes.disk.of_step(*kind)))])
 }
 
 fn sizes(plan: &Plan) -> Vec<Option<Sizes>> {

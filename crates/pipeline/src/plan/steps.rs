@@ -21,6 +21,10 @@ pub struct Plan {
     pub folder: PathBuf,
     /// The steps; each comes after its inputs.
     pub steps: Vec<Step>,
+    /// Upper bound of the disk space that the light fields of all steps need together, with
+    /// temporary files, bytes. Patterns, pictures and reports, which are much smaller, are not
+    /// included.
+    pub disk_bytes: u64,
     #[serde(skip)]
     pub(crate) parts: Vec<Part>,
 }
@@ -113,7 +117,8 @@ pub(crate) enum PartKind {
 
 impl Plan {
     pub(crate) fn new(job: &Job, folder: &Path) -> Self {
-        Self { name: job.name.clone(), folder: folder.to_owned(), steps: Vec::new(), parts: Vec::new() }
+        let (name, folder) = (job.name.clone(), folder.to_owned());
+        Self { name, folder, steps: Vec::new(), disk_bytes: 0, parts: Vec::new() }
     }
 
     pub(crate) fn add_part(&mut self, folder: PathBuf, kind: PartKind, job: Job, parent: Option<usize>) -> usize {

@@ -27,6 +27,7 @@ use super::fields::{FieldJob, Shot};
 use super::groups::in_groups;
 use crate::error::{PipelineError, render_error};
 use crate::job::{Denoise, Job};
+use crate::plan::disk;
 use crate::store::files::{read_json, write_json};
 use crate::store::views::{read_split, read_view, split_path, view_path, write_view};
 
@@ -208,6 +209,14 @@ fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered
         let split = split(field, view)?;
         Ok([split.radiance(), averaged.on(number, &split)])
     }))
+}
+
+/// Returns the bytes of the files that the filter `shared` makes before it removes the split views:
+/// the filtered views, and the shared light if it is not in memory.
+pub(crate) fn shared_bytes(field: &FieldJob, job: &Job) -> u64 {
+    let geometry = &field.traced;
+    let light = if job.render.is_held(geometry) { 0 } else { SharedLight::BYTES_PER_RAY };
+    (geometry.grid.iter().count() * geometry.rows * geometry.cols) as u64 * (disk::VIEW + light)
 }
 
 /// Reads a traced view whose diffuse and other light are separate.

@@ -17,6 +17,7 @@ use super::ingest::Ingested;
 use super::{denoise, depth};
 use crate::error::{PipelineError, render_error};
 use crate::job::{Denoise, Engine};
+use crate::plan::disk;
 use crate::store::views::{
     guides_path, missing, read_splats, read_split, read_view, splats_path, split_path, variance_path, view_path,
     write_guides, write_splats, write_split, write_view,
@@ -51,6 +52,16 @@ struct Todo {
     variance: Option<PathBuf>,
     /// File for the guides of a denoiser, if they are requested.
     guides: Option<PathBuf>,
+}
+
+impl Todo {
+    /// Returns the bytes of the picture's files.
+    fn bytes(&self, field: &FieldJob, kind: Denoise) -> u64 {
+        let pixels = (field.traced.rows * field.traced.cols) as u64;
+        let guides = if self.guides.is_some() { disk::GUIDES } else { 0 };
+        let variance = if self.variance.is_some() { disk::VIEW } else { 0 };
+        pixels * (disk::traced(kind, &field.settings) + guides + variance)
+    }
 }
 
 /// Traces all views that are not cached. Returns true if all were cached.
@@ -140,6 +151,14 @@ fn trace_views(
         // Check the denoiser before the rendering, which may take hours.
         denoise::check(kind, job, shot.geometry)?;
     }
+    // A disk that is full would end the rendering, so check its free space, too. The filter of
+    // split views also needs space before it removes them.
+    let of_todo = todo.iter().map(|todo| todo.bytes(&fields[todo.field], kind));
+    let of_filter = fields.iter().zip(&is_shared).map(|(field, is_finished)| match kind {
+        Denoise::Shared if !is_finished && block == Block::ALL => denoise::shared_bytes(field, job),
+        _ => 0,
+    });
+    disk::check(cache_dir, of_todo.chain(of_filter).sum())?;
     if engine == Engine::Blender {
         for (number, field) in fields.iter().enumerate() {
             let of_field = todo.iter().filter(|todo| todo.field == number);

@@ -46,6 +46,7 @@ from lumistack._lumistack import (
     write,
 )
 from lumistack._progress import set_progress
+from lumistack._show import srgb
 
 __all__ = [
     "HAS_PANELS",
@@ -78,5 +79,6 @@ __all__ = [
     "set_progress",
     "set_threads",
     "simulate",
+    "srgb",
     "write",
 ]

@@ -62,7 +62,7 @@ def plot_view(light_field: LightField, view: tuple[int, int] | None, ax: Any) ->
     v, u = (view_rows // 2, view_cols // 2) if view is None else view
     width, height = cols * light_field.pitch_mm, rows * light_field.pitch_mm
     ax = _axes(ax)
-    ax.imshow(_srgb(light_field[v, u]), extent=(-width / 2, width / 2, -height / 2, height / 2))
+    ax.imshow(srgb(light_field[v, u]), extent=(-width / 2, width / 2, -height / 2, height / 2))
     ax.set_title(f"view [{v}, {u}], slope ({_number(light_field.slope_x[u], 3)}, {_number(light_field.slope_y[v], 3)})")
     ax.set_xlabel("x, mm")
     ax.set_ylabel("y, mm")
@@ -83,7 +83,7 @@ def plot_patterns(stack: LayerStack, frame: int) -> Any:
     pictures.append((f"seen, {_count(stack.frames, 'frame')}", stack.simulate()))
     figure, axes = pyplot.subplots(1, len(pictures), squeeze=False, figsize=(3.2 * len(pictures), 2.6), layout="constrained")
     for ax, (title, picture) in zip(axes[0], pictures, strict=True):
-        ax.imshow(_srgb(picture))
+        ax.imshow(srgb(picture))
         ax.set_title(title)
         ax.set_axis_off()
     last = stack.frames - 1
@@ -139,8 +139,8 @@ def _range(slopes: list[float]) -> str:
     return f"{_number(min(slopes), 3)} to {_number(max(slopes), 3)}" if len(slopes) > 1 else _number(slopes[0], 3)
 
 
-def _srgb(linear: Any) -> Any:
-    """Converts linear light to 8-bit sRGB codes (IEC 61966-2-1), [row, col, rgb]."""
+def srgb(linear: Any) -> Any:
+    """Converts linear light 0..1 to 8-bit sRGB codes (IEC 61966-2-1), for files and screens. The shape stays."""
     import numpy
 
     # Values that are not finite are black or white, since they have no code.
@@ -157,7 +157,7 @@ def _png(linear: Any) -> str:
     rows, cols = (count // step for count in linear.shape[:2])
     if step > 1 and rows and cols:
         linear = numpy.asarray(linear)[: rows * step, : cols * step].reshape(rows, step, cols, step, 3).mean((1, 3))
-    codes = _srgb(linear)
+    codes = srgb(linear)
     # In PNG every row begins with the number of its filter; 0 means none.
     lines = b"".join(b"\x00" + row.tobytes() for row in codes)
     header = struct.pack(">IIBBBBB", codes.shape[1], codes.shape[0], 8, 2, 0, 0, 0)

@@ -4,6 +4,7 @@ units. Then it submits the units that depend on these results."""
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import re
 import subprocess
@@ -87,6 +88,7 @@ def plan(
 ) -> dict[str, Any]:
     """Plans a job into its run folder; `options` are options of `lumistack farm plan`. Returns the
     units and their state."""
+    _check_main()
     words = [*(program or [sys.executable, "-m", "lumistack"]), "--json", "farm", "plan", os.fspath(job), "-o", os.fspath(folder), *options]
     found = subprocess.run(words, capture_output=True, text=True)
     answer = _work._answer(found.stdout, "farm_plan")
@@ -140,6 +142,7 @@ def execute(
 
     Raises FarmError if units were abandoned or no worker can be used; finished units are kept.
     """
+    _check_main()
     if address is not None:
         check_address(address, tls is not None, insecure)
     on_workers = list(worker_program) if worker_program else (list(program) if program and address is None and client is None else None)
@@ -154,6 +157,15 @@ def execute(
             outcome = engine.execute_through(store, [Path(folder).absolute() for folder in send])
     outcome.seconds = time.monotonic() - start
     return outcome
+
+
+def _check_main() -> None:
+    """Refuses calls by a process that imports the script of the process that starts it."""
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise FarmError(
+            "every worker imports the script that starts it: expected calls of lumistack.farm after "
+            '`if __name__ == "__main__":`, found a call during this import'
+        )
 
 
 def check_address(address: str, has_tls: bool, insecure: bool) -> None:

@@ -1,0 +1,145 @@
+//! Disk space of a run: an upper bound for a plan, and a check before views are traced.
+//!
+//! Only light fields are counted. Patterns, pictures and the report need far less space.
+
+use std::path::Path;
+
+use lumistack_display::{Display, FieldGeometry, ViewGrid};
+use lumistack_pathtracer::denoise::SharedLight;
+use lumistack_pathtracer::{Features, Settings, SplitView};
+
+use super::steps::StepKind;
+use crate::error::PipelineError;
+use crate::job::{Denoise, Job};
+
+/// Bytes of a ray in a cached view.
+pub(crate) const VIEW: u64 = 3 * size_of::<f32>() as u64;
+/// Bytes of a ray in the guides of a denoiser.
+pub(crate) const GUIDES: u64 = (Features::VALUES.next_multiple_of(3) * size_of::<f32>()) as u64;
+/// Bytes of a ray in a light field that a run writes.
+const WRITTEN: u64 = 3 * size_of::<u16>() as u64;
+/// Bytes of a ray in the file from which the solver reads a light field that is not in memory, and
+/// in the solver's copy.
+const SOLVED: u64 = VIEW + WRITTEN;
+
+/// Disk space of a part's light fields, bytes.
+#[derive(Clone, Copy)]
+pub(super) struct Disk {
+    /// Rays of the target, and of the light fields for the report.
+    rays: u64,
+    /// Rays of the target, if it is not in memory; otherwise 0.
+    in_files: u64,
+    /// Rays of all pictures for the score.
+    scored: u64,
+    /// The filter of the traced views, and the settings of their paths.
+    filter: (Denoise, Settings),
+}
+
+impl Disk {
+    pub(super) fn of(job: &Job, display: &Display, geometry: &FieldGeometry, others: &[Option<ViewGrid>; 2]) -> Self {
+        let pixels = (geometry.rows * geometry.cols) as u64;
+        let rays = |grid: &ViewGrid| grid.iter().count() as u64 * pixels;
+        let target = rays(&geometry.grid);
+        let settings = Settings { further_paths: job.has_further_paths(display), ..Settings::default() };
+        Self {
+            rays: target + others.iter().flatten().map(rays).sum::<u64>(),
+            in_files: if job.render.is_held(geometry) { 0 } else { target },
+            scored: 2 * job.report.zone_directions as u64 * pixels,
+            filter: (job.denoise_for(display), settings),
+        }
+    }
+
+    /// Returns the bytes that a step leaves in the run folder, and the bytes of its temporary files.
+    pub(super) fn of_step(&self, kind: StepKind) -> [u64; 2] {
+        let (filter, settings) = self.filter;
+        let traced = traced(filter, &settings);
+        match (kind, filter) {
+            // both halves of every view, and their guides
+            (StepKind::Trace, Denoise::Guided | Denoise::Oidn) => [2 * (traced + GUIDES) * self.rays, 0],
+            (StepKind::Trace, Denoise::Auto | Denoise::Off) => [traced * self.rays, 0],
+            // the split views are temporary: the filter removes them
+            (StepKind::Denoise, Denoise::Shared) => {
+                [VIEW * self.rays, traced * self.rays + SharedLight::BYTES_PER_RAY * self.in_files]
+            }
+            (StepKind::Denoise, Denoise::Guided | Denoise::Oidn) => [VIEW * self.rays, 0],
+            (StepKind::Expose | StepKind::Read | StepKind::Source, _) => [WRITTEN * self.rays, 0],
+            (StepKind::Score, _) => [VIEW * self.scored, 0],
+            (StepKind::Patterns | StepKind::Design(_) | StepKind::Search, _) => [0, SOLVED * self.in_files],
+            _ => [0, 0],
+        }
+    }
+}
+
+/// Returns the bytes of a ray in a traced view, or in a half of its samples.
+pub(crate) fn traced(filter: Denoise, settings: &Settings) -> u64 {
+    if filter == Denoise::Shared { SplitView::packed_bytes(settings) as u64 } else { VIEW }
+}
+
+/// Returns the disk space that steps need together: all that they leave, and the temporary files of
+/// one of them.
+pub(super) fn together(steps: impl Iterator<Item = [u64; 2]>) -> u64 {
+    let [kept, temporary] = steps.fold([0, 0], |[kept, most], [left, own]| [kept + left, most.max(own)]);
+    kept + temporary
+}
+
+/// Checks that the disk of a folder has room for `bytes` of views.
+///
+/// # Errors
+/// If it has not. A disk whose free space is not known is not checked.
+pub(crate) fn check(folder: &Path, bytes: u64) -> Result<(), PipelineError> {
+    match fs4::available_space(folder) {
+        Ok(free) if free < bytes => Err(PipelineError::value(
+            folder,
+            "disk space",
+            format!(
+                "{:.1} GB for the views that are not rendered yet; another folder (`-o`), fewer views (`render.most_views`) or fewer pixels (`--resolution`) need less space on this disk",
+                bytes as f64 / 1e9
+            ),
+            format!("{:.1} GB", free as f64 / 1e9),
+        )),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::job::DisplayJob;
+
+    fn disk_of(change: impl FnOnce(&mut Job)) -> (Disk, u64) {
+        let mut job = Job::new(DisplayJob::by_name_or_path("paper-three-layer"));
+        job.scene = Some("a.glb".into());
+        change(&mut job);
+        let job = job.with_automatic_settings();
+        let display = job.resolve_display().unwrap();
+        let geometry = display.geometry().unwrap();
+        let rays = geometry.grid.iter().count() * geometry.rows * geometry.cols;
+        (Disk::of(&job, &display, &geometry, &[None, None]), rays as u64)
+    }
+
+    /// The filter of split views needs the most space: split views, shared light and filtered
+    /// views. The split views are gone when the solver begins.
+    #[test]
+    fn the_largest_temporary_files_count_once() {
+        let (disk, rays) = disk_of(|_| {});
+        assert_eq!(rays, 625 * 840 * 525);
+        let kinds = [StepKind::Trace, StepKind::Denoise, StepKind::Expose, StepKind::Score, StepKind::Patterns];
+        let score = 2 * 32 * 840 * 525 * 12;
+        assert_eq!(together(kinds.map(|kind| disk.of_step(kind)).into_iter()), (25 + 22 + 12 + 6) * rays + score);
+        // a light field in memory needs no files but its views
+        let (disk, rays) = disk_of(|job| job.display.resolution = Some([84, 53]));
+        assert_eq!(disk.of_step(StepKind::Denoise), [12 * rays, 25 * rays]);
+        assert_eq!(disk.of_step(StepKind::Patterns), [0, 0]);
+        let (disk, rays) = disk_of(|job| job.render.denoise = Denoise::Off);
+        assert_eq!([StepKind::Trace, StepKind::Denoise].map(|kind| disk.of_step(kind)), [[12 * rays, 0], [0, 0]]);
+    }
+
+    #[test]
+    fn a_disk_that_is_too_small_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(check(folder.path(), 1).is_ok());
+        let error = check(folder.path(), 1 << 62).unwrap_err().to_string();
+        assert!(error.contains("disk space: expected 4611686018.4 GB for the views"), "{error}");
+        assert!(check(&folder.path().join("nothing"), 1 << 62).is_ok(), "a disk that is not known is not checked");
+    }
+}
