@@ -13,6 +13,7 @@
 //! which results are current. The run also writes the time of each step, and the scene's files.
 
 use std::collections::BTreeMap;
+use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -113,7 +114,7 @@ pub(crate) fn note(plan: &Plan, registry: &Registry, new: Records) -> Result<(),
 pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     let records: Records = read_json(&plan.folder.join(FILE)).unwrap_or_default();
     let keys = keys(plan, &records, registry);
-    let (machine, sizes) = (multiply_adds_per_second(), sizes(plan));
+    let (machine, sizes) = (steps_per_second(), sizes(plan));
     let of_step = |step: &Step| sizes[step.part].as_ref().map_or([0, 0], |sizes| sizes.disk.of_step(step.kind));
     plan.disk_bytes = disk::together(plan.steps.iter().map(of_step));
     for (index, key) in keys.into_iter().enumerate() {
@@ -452,19 +453,19 @@ fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     }
 }
 
-/// Returns the number of multiply-adds that take as long as one unit of a stage's work, including
-/// the unit's memory accesses. The numbers were measured with the jobs of `scenes` and with
-/// FlightHelmet, on two cores. Most scenes take 33 % to 100 % of the estimated time. Scenes with
-/// glass or with many lights take longer.
+/// Returns the number of steps of [`steps_per_second`] that take as long as one unit of a stage's
+/// work. The numbers were measured on two cores, with `scenes/still-life/job.toml` and with
+/// FlightHelmet at the size of the paper's displays. Scenes with glass or with many lights take
+/// longer.
 fn cost(stage: &str) -> f64 {
     match stage {
         "ingest" => 1e8,
-        "place" | "trace" | "score" => 1.2e3,
-        "denoise" => 8e3,
-        "factorize" | "design" => 3.0,
+        "place" | "trace" | "score" => 1.1e3,
+        "denoise" => 7e3,
+        "factorize" | "design" => 0.4,
         "node" => 4e3,
-        "report" => 1e3,
-        "output" => 500.0,
+        "report" | "expose" => 90.0,
+        "output" => 20.0,
         _ => 300.0,
     }
 }
@@ -481,7 +482,7 @@ const PROGRAM: f64 = (80 << 20) as f64;
 const VIEWS_IN_WORK: f64 = 8.0;
 /// Time of the filter `shared`, divided by the time of the other filters. Measured with 169 views
 /// of 420 × 262 pixels.
-const SHARED_SHARE: f64 = 0.1;
+const SHARED_SHARE: f64 = 0.03;
 /// Time of the solver for a directional backlight, divided by its time for a uniform one.
 const DIRECTIONAL_TIMES: f64 = 8.0;
 /// Time to place the window, as a multiple of the time of a path.
@@ -556,18 +557,27 @@ fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     (kept + of_step) as u64
 }
 
-/// Measures the rate of multiply-adds of one thread in a few milliseconds, and multiplies it by the
-/// number of threads. The fastest of several short rounds counts, since other work may interrupt a
-/// round. Only one thread is measured, since rounds of all threads would be interrupted more often.
-fn multiply_adds_per_second() -> f64 {
-    const ROUNDS: usize = 16;
+/// Measures the rate of a chain of operations on one thread in a few milliseconds, and multiplies it
+/// by the number of threads. A step of the chain is a shift, an exclusive or, and a multiplication.
+/// Each step needs the result of the step before, so every build of the program takes the same
+/// time. Multiply-adds on vectors did not: builds with other optimizations took up to 60 times as
+/// long.
+///
+/// The fastest of several short rounds counts, since other work may interrupt a round. Only one
+/// thread is measured, since rounds of all threads would be interrupted more often.
+fn steps_per_second() -> f64 {
+    const ROUNDS: u64 = 16;
     const STEPS: u32 = 1 << 16;
-    let rate = |round: usize| {
+    let rate = |round: u64| {
         let start = Instant::now();
-        let sum: f32 = (0..STEPS).fold([round as f32; 8], |sum, _| sum.map(|x| x * 0.999 + 0.5)).iter().sum();
-        // Use the sum, since the compiler would otherwise remove the loop.
-        let scale = if sum.is_finite() { 8.0 } else { 1.0 };
-        scale * f64::from(STEPS) / start.elapsed().as_secs_f64().max(1e-6)
+        let (mut step, mut x) = (0, black_box(round));
+        // a plain loop, since iterators are slow in builds with few optimizations
+        while step < STEPS {
+            x = (x ^ (x >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            step += 1;
+        }
+        black_box(x);
+        f64::from(STEPS) / start.elapsed().as_secs_f64().max(1e-6)
     };
     rayon::current_num_threads() as f64 * (0..ROUNDS).map(rate).fold(0.0, f64::max)
 }
