@@ -80,6 +80,8 @@ fn a_sequence_is_watched_by_its_time_steps() {
     let text = succeed(factorize(&input, &run).args(["--sequence", "--iterations", "2"]));
     let last = format!("preview {}", run.join("t0002").display());
     assert!(text.contains(&format!("preview {}\n", run.display())) && text.contains(&last), "{text}");
+    let text = succeed(lumistack().arg("info").arg(&run));
+    assert!(text.contains("time steps: 2") && text.contains("name: t0002"), "{text}");
     let events = serve_preview(&run);
     let event = |kind: &str| events.iter().find(|event| event["event"] == kind).unwrap_or_else(|| panic!("{events:?}"));
     assert_eq!(event("serving")["preview"], run.join("t0001/preview").to_str().unwrap());
@@ -95,7 +97,7 @@ fn a_warm_start_saves_iterations() {
     for solver in ["multiplicative", "auto"] {
         let sequence = ["--sequence", "--solver", solver, "--iterations", "30"];
         let text = succeed(factorize(&input, &run).args(sequence));
-        assert!(text.contains("over 4 time steps; flicker"), "{text}");
+        assert!(text.contains("views of 4 time steps; flicker"), "{text}");
         let times = times(&run);
         assert_eq!(times.iter().map(|t| t["iterations"].as_u64().unwrap()).collect::<Vec<_>>(), [30, 5, 5, 5]);
         let warm = number(&times[3], "psnr_view");

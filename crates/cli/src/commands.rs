@@ -144,14 +144,14 @@ fn finish(
         say!("{event}");
     } else if let Some(sequence) = &summary.sequence {
         for node in &summary.nodes {
-            say!("{}: PSNR {:.1} dB over {} time steps", node.id, node.psnr_view, sequence.times);
+            say!("{}: PSNR {:.1} dB at the solver's views of {} time steps", node.id, node.psnr_view, sequence.times);
         }
         let times = sequence.times;
         let others =
             [("flicker", sequence.psnr_change), ("flicker where the target does not change", sequence.psnr_still)];
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!("; {name} {psnr:.1} dB")));
         say!(
-            "PSNR {:.1} dB over {times} time steps{}; time {:.0} s",
+            "PSNR {:.1} dB at the solver's views of {times} time steps{}; time {:.0} s",
             summary.psnr_view,
             others.concat(),
             summary.seconds

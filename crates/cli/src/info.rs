@@ -72,6 +72,7 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
         "toml" => toml(path, registry, task),
         _ if path.join("layers/stack.json").is_file() => run_folder(path),
         _ if path.join("stack.json").is_file() => stack(path),
+        _ if path.join("report.json").is_file() => several(path),
         _ => {
             let description = describe_light_field(path, &geometry(&args.geometry), task)?;
             Ok(json!({ "light field": serde_json::to_value(description).expect("descriptions serialize") }))
@@ -290,6 +291,29 @@ fn run_folder(path: &Path) -> Result<Value, PipelineError> {
         });
     }
     Ok(value)
+}
+
+/// Describes the folder of a sequence, or of a run with several displays, by its report.
+fn several(path: &Path) -> Result<Value, PipelineError> {
+    let file = path.join("report.json");
+    let malformed = |found: String| PipelineError::value(&file, "content", "a report of Lumistack", found);
+    let text = lumistack_files::read_text(&file).map_err(|error| malformed(error.to_string()))?;
+    let report: Value = serde_json::from_str(&text).map_err(|error| malformed(error.to_string()))?;
+    let of_parts = |key: &str, name: &str| -> Vec<Value> {
+        let parts = report[key].as_array().into_iter().flatten();
+        parts.map(|part| json!({ "name": part[name], "psnr_view": part["psnr_view"], "psnr over the zone": part["psnr_zone"] })).collect()
+    };
+    let mut result = json!({
+        "title": report["title"], "psnr_view": report["psnr_view"], "psnr over the zone": report["psnr_zone"],
+        "flicker": report["psnr_change"], "command": report["command"],
+    });
+    for (key, name, text) in [("times", "name", "time steps"), ("nodes", "id", "displays")] {
+        let parts = of_parts(key, name);
+        if !parts.is_empty() {
+            result[text] = parts.into();
+        }
+    }
+    Ok(json!({ "run folder": path.display().to_string(), "result": result }))
 }
 
 fn stack(path: &Path) -> Result<Value, PipelineError> {

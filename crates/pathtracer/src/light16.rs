@@ -2,13 +2,12 @@
 //!
 //! A code has 6 bits of exponent and 10 bits of mantissa. So the relative error of a value is at
 //! most 2⁻¹¹, as that of a half float. The values reach from 4.7e-10 to 8.6e9, while half floats
-//! end at 65504. Radiance of scenes in physical units exceeds that: of a sun, or of a lamp that
-//! the camera sees.
+//! end at 65504. In physical units, the radiance of suns and of visible lamps exceeds 65504.
 
 /// Number of bits of an `f32` below the mantissa of a code.
 const DROPPED: u32 = 13;
-/// Difference between the upper 16 bits of an `f32` after its sign, and the code of the same value:
-/// the exponents 96 to 159 of an `f32` are the exponents 0 to 63 of codes.
+/// Code of 2⁻³¹ if codes had as many bits of exponent as an `f32`: the exponents 96 to 159 of an
+/// `f32` are the exponents 0 to 63 of codes.
 const OFFSET: u32 = 96 << 10;
 
 /// Returns the code of the nearest value. Negative values and NaN become 0; values out of range

@@ -21,7 +21,7 @@ pub fn lacking(path: &Path, no_camera: bool, no_lights: bool) -> Vec<String> {
     }
     let extension = path.extension().unwrap_or_default();
     if !lines.is_empty() && ["gltf", "glb"].iter().any(|gltf| extension.eq_ignore_ascii_case(gltf)) {
-        let text = "Blender's glTF export contains cameras and lights if Include > Cameras and Include > Punctual Lights are ticked; \
+        let text = "for a file of Blender: its glTF export contains cameras and lights if Include > Cameras and Include > Punctual Lights are ticked; \
                     Lumistack also reads .blend files";
         lines.push(text.into());
     }

@@ -11,7 +11,7 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum HostError {
     /// No plugin has this id.
-    #[error("unknown plugin `{id}`{}", nearest.as_ref().map_or_else(|| format!("; expected one of {}", known.join(", ")), |n| format!("; did you mean `{n}`?")))]
+    #[error("unknown plugin `{id}`{}", nearest.as_ref().map_or_else(|| format!("; expected one of {}, or a plugin in a library that --plugin-path names", known.join(", ")), |n| format!("; did you mean `{n}`?")))]
     UnknownPlugin {
         /// The requested id, which no plugin has.
         id: String,

@@ -150,7 +150,7 @@ impl Host {
         // SAFETY: the context belongs to the table, and the text is lent for the call; `file` is
         // written before the call returns.
         self.call(|table, error| unsafe { (table.file_open)(table.context, Str::new(path), &mut file, error) })?;
-        Ok(OutputFile { host: self.clone(), file, path: path.into(), open: true })
+        Ok(OutputFile { host: self.clone(), file, path: path.into(), open: true, failed: None })
     }
 
     /// Writes a whole file; see [`Host::create`].
@@ -294,24 +294,37 @@ pub struct OutputFile {
     file: u64,
     path: String,
     open: bool,
+    /// The error of the first bytes that the host could not write.
+    failed: Option<PluginError>,
 }
 
 impl OutputFile {
     /// Appends bytes.
     ///
     /// # Errors
-    /// If the host cannot write them.
+    /// If the host cannot write them, or could not write earlier ones.
     pub fn append(&mut self, bytes: &[u8]) -> Result<(), PluginError> {
+        if let Some(error) = &self.failed {
+            return Err(error.clone());
+        }
         let file = self.file;
         // SAFETY: the context belongs to the table; the bytes are lent for the call.
-        self.host.call(|table, error| unsafe { (table.file_append)(table.context, file, Bytes::new(bytes), error) })
+        let written = self
+            .host
+            .call(|table, error| unsafe { (table.file_append)(table.context, file, Bytes::new(bytes), error) });
+        self.failed = written.clone().err();
+        written
     }
 
     /// Completes the file, which appears when the output has finished.
     ///
     /// # Errors
-    /// If the host cannot complete it.
+    /// If the host cannot complete the file, or could not write some of its bytes. Some encoders
+    /// write their last bytes when they are dropped, and ignore the error.
     pub fn commit(mut self) -> Result<(), PluginError> {
+        if let Some(error) = self.failed.take() {
+            return Err(error);
+        }
         self.open = false;
         let file = self.file;
         // SAFETY: the context belongs to the table.

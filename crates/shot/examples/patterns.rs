@@ -7,6 +7,7 @@
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
 use lumistack_core::colour::srgb_code;
 use lumistack_core::{Cancel, Collector, Task};
@@ -33,10 +34,18 @@ impl AssetResolver for Folder {
     }
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> ExitCode {
     let words: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
-    let [model, folder] = &words[..] else { return Err("expected two arguments: MODEL FOLDER".into()) };
-    patterns(model, folder)
+    let done = match &words[..] {
+        [model, folder] => patterns(model, folder),
+        _ => Err("expected two arguments: MODEL FOLDER".into()),
+    };
+    if let Err(error) = done {
+        // the text of an error names file, place, expected and found
+        eprintln!("error: {error}");
+        return ExitCode::FAILURE;
+    }
+    ExitCode::SUCCESS
 }
 
 pub(crate) fn patterns(model: &Path, folder: &Path) -> Result<(), Box<dyn Error>> {
@@ -45,7 +54,8 @@ pub(crate) fn patterns(model: &Path, folder: &Path) -> Result<(), Box<dyn Error>
 
     // a scene without light gets studio light
     let beside = Folder(model.parent().unwrap_or(Path::new("")).join("."));
-    let scene = lumistack_gltf::load(&model.display().to_string(), &std::fs::read(model)?, &beside, task)?;
+    let bytes = std::fs::read(model).map_err(|error| format!("{}: {error}", model.display()))?;
+    let scene = lumistack_gltf::load(&model.display().to_string(), &bytes, &beside, task)?;
     let job = LightJob::default();
     let (scene, _) = light::lit(scene, false, &job, task)?;
     let subject = LitScene::new(scene, task)?;

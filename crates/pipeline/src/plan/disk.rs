@@ -49,7 +49,8 @@ impl Disk {
         }
     }
 
-    /// Returns the bytes that a step leaves in the run folder, and the bytes of its temporary files.
+    /// Returns the bytes that a step leaves in the run folder, and the bytes of its temporary
+    /// files.
     pub(super) fn of_step(&self, kind: StepKind) -> [u64; 2] {
         let (filter, settings) = self.filter;
         let traced = traced(filter, &settings);

@@ -557,11 +557,11 @@ fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     (kept + of_step) as u64
 }
 
-/// Measures the rate of a chain of operations on one thread in a few milliseconds, and multiplies it
-/// by the number of threads. A step of the chain is a shift, an exclusive or, and a multiplication.
-/// Each step needs the result of the step before, so every build of the program takes the same
-/// time. Multiply-adds on vectors did not: builds with other optimizations took up to 60 times as
-/// long.
+/// Measures the rate of a chain of operations on one thread in a few milliseconds, and multiplies
+/// it by the number of threads. A step of the chain is a shift, an exclusive or, and a
+/// multiplication. Each step needs the result of the step before, so every build of the program
+/// takes the same time. Multiply-adds on vectors did not: builds with other optimizations took up
+/// to 60 times as long.
 ///
 /// The fastest of several short rounds counts, since other work may interrupt a round. Only one
 /// thread is measured, since rounds of all threads would be interrupted more often.
