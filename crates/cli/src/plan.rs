@@ -27,6 +27,11 @@ pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -
         say!("{hint}");
     }
     table(&plan).into_iter().for_each(|line| say!("{line}"));
+    if plan.assumes_blender {
+        say!(
+            "This plan assumes that Blender renders the views. If Lumistack's path tracer supports all content of the file, it renders more views, which need more time, memory and disk space: --engine lumistack plans this case"
+        );
+    }
     Ok(())
 }
 

@@ -6,7 +6,7 @@
 
 /// Number of bits of an `f32` below the mantissa of a code.
 const DROPPED: u32 = 13;
-/// Code of 2⁻³¹ if codes had as many bits of exponent as an `f32`: the exponents 96 to 159 of an
+/// The number that codes lack against the upper bits of an `f32`. The exponents 96 to 159 of an
 /// `f32` are the exponents 0 to 63 of codes.
 const OFFSET: u32 = 96 << 10;
 

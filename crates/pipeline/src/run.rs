@@ -206,6 +206,7 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
 /// # Errors
 /// If the job or a design of its sweep is wrong.
 pub fn plan(job: &Job, run_dir: &Path, registry: &Registry) -> Result<Plan, PipelineError> {
+    let assumes_blender = engine::is_open(job, &cache_of(run_dir));
     let job = &plugin_files::resolved(&engine::settled_by_cache(job, &cache_of(run_dir)), registry)?;
     // the run's own check, so that a plan and its run refuse the same plugins
     check::plugins(job, registry)?;
@@ -216,6 +217,7 @@ pub fn plan(job: &Job, run_dir: &Path, registry: &Registry) -> Result<Plan, Pipe
     Executor::new(&plan, registry, None, quiet).check()?;
     ingest::check_scene(job, registry, quiet)?;
     estimate::fill(&mut plan, registry);
+    plan.assumes_blender = assumes_blender;
     Ok(plan)
 }
 

@@ -25,6 +25,9 @@ pub struct Plan {
     /// temporary files, bytes. Patterns, pictures and reports, which are much smaller, are not
     /// included.
     pub disk_bytes: u64,
+    /// True if only the run will choose the renderer of a `.blend` file. The plan then assumes
+    /// Blender, which renders fewer views.
+    pub assumes_blender: bool,
     #[serde(skip)]
     pub(crate) parts: Vec<Part>,
 }
@@ -118,7 +121,7 @@ pub(crate) enum PartKind {
 impl Plan {
     pub(crate) fn new(job: &Job, folder: &Path) -> Self {
         let (name, folder) = (job.name.clone(), folder.to_owned());
-        Self { name, folder, steps: Vec::new(), disk_bytes: 0, parts: Vec::new() }
+        Self { name, folder, steps: Vec::new(), disk_bytes: 0, assumes_blender: false, parts: Vec::new() }
     }
 
     pub(crate) fn add_part(&mut self, folder: PathBuf, kind: PartKind, job: Job, parent: Option<usize>) -> usize {
