@@ -446,7 +446,8 @@ fn unsuitable_solvers_are_reported_before_the_rendering() {
     std::fs::write(at("rotating.toml"), format!("formation = \"polarization\"\n{preset}")).unwrap();
     let scene = root().join("scenes/letters/letters.gltf");
     let rotating = "display.file = \"rotating.toml\"\nfactorize.solver = \"multiplicative\"\n";
-    for tables in [rotating.to_owned(), format!("[[nodes]]\nid = \"a\"\n{rotating}")] {
+    let of_node = format!("display.preset = \"paper-three-layer\"\n[[nodes]]\nid = \"a\"\n{rotating}");
+    for tables in [rotating.to_owned(), of_node] {
         std::fs::write(at("job.toml"), format!("scene = {:?}\n{tables}", scene.to_str().unwrap())).unwrap();
         let error = fail(lumistack().arg("run").arg(at("job.toml")).arg("-o").arg(at("run")));
         assert!(error.contains("solver multiplicative: expected layers that attenuate or emit light"), "{error}");

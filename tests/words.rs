@@ -110,7 +110,7 @@ fn viewpoints_outside_the_zone_say_so() {
         ),
         "{text}"
     );
-    assert!(from(["--eye", "100,0,600"]).contains("--eye: from this viewpoint, "));
+    assert!(from(["--eye", "100,0,600"]).contains("--eye: at this viewpoint, the rays from "));
     // the viewpoints of the examples in the help text are inside the viewing zone
     let help = succeed(lumistack().args(["simulate", "--help"]));
     for flags in [["--view", "4,-2"], ["--eye", "100,0,2000"]] {

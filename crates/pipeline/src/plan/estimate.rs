@@ -491,7 +491,7 @@ const PLACE: f64 = 1e5;
 /// The measurement also solves and compares.
 const MEASURED_TIMES: f64 = 1.5;
 /// Time of views that share light and get further paths, divided by the time of the same views
-/// without further paths. Measured factors are between 1.5 and 2.2 (docs/ZONE.md).
+/// without further paths. Measured factors are between 1.2 and 2.2 (docs/ZONE.md).
 const FURTHER_TIMES: f64 = 1.8;
 /// Largest number of values per pixel of a view while the view gets further paths. These are the
 /// values of its first paths, of the further paths, and of all paths together.

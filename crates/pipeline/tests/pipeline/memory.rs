@@ -151,5 +151,5 @@ fn fixed_views_that_share_light_are_rendered_within_their_bound() {
 fn chosen_views_are_rendered_and_solved_within_their_bound() {
     // A number of samples is given, since measuring it would take most of the time.
     let render = "[render]\nzone_samples = 100\nmax_bounces = 0\n";
-    check(&format!("scene = {:?}\n{}{render}", scene(), display([320, 140], "")), 24, Some("factorize"));
+    check(&format!("scene = {:?}\n{}{render}", scene(), display([400, 160], "")), 24, Some("factorize"));
 }
