@@ -13,7 +13,7 @@
 //! Another process can execute a single step, since a step reads its inputs from the run folder if
 //! they are not in memory.
 
-pub(crate) mod disk;
+mod disk;
 pub(crate) mod estimate;
 pub(crate) mod execute;
 pub(crate) mod graph;

@@ -23,6 +23,7 @@ pub(crate) mod lock;
 pub(crate) mod names;
 pub(crate) mod plugin_files;
 pub(crate) mod settings;
+pub(crate) mod space;
 pub(crate) mod stamps;
 pub(crate) mod used;
 pub(crate) mod views;

@@ -1,21 +1,13 @@
-//! Disk space of a run: an upper bound for a plan, and a check before views are traced.
-//!
-//! Only light fields are counted. Patterns, pictures and the report need far less space.
-
-use std::path::Path;
+//! Upper bound of the disk space of a plan. Only light fields are counted. Patterns, pictures and the report need far less space.
 
 use lumistack_display::{Display, FieldGeometry, ViewGrid};
+use lumistack_pathtracer::Settings;
 use lumistack_pathtracer::denoise::SharedLight;
-use lumistack_pathtracer::{Features, Settings, SplitView};
 
 use super::steps::StepKind;
-use crate::error::PipelineError;
 use crate::job::{Denoise, Job};
+use crate::store::space::{GUIDES, VIEW, traced};
 
-/// Bytes of a ray in a cached view.
-pub(crate) const VIEW: u64 = 3 * size_of::<f32>() as u64;
-/// Bytes of a ray in the guides of a denoiser.
-pub(crate) const GUIDES: u64 = (Features::VALUES.next_multiple_of(3) * size_of::<f32>()) as u64;
 /// Bytes of a ray in a light field that a run writes.
 const WRITTEN: u64 = 3 * size_of::<u16>() as u64;
 /// Bytes of a ray in the file from which the solver reads a light field that is not in memory, and
@@ -71,35 +63,11 @@ impl Disk {
     }
 }
 
-/// Returns the bytes of a ray in a traced view, or in a half of its samples.
-pub(crate) fn traced(filter: Denoise, settings: &Settings) -> u64 {
-    if filter == Denoise::Shared { SplitView::packed_bytes(settings) as u64 } else { VIEW }
-}
-
 /// Returns the disk space that steps need together: all that they leave, and the temporary files of
 /// one of them.
 pub(super) fn together(steps: impl Iterator<Item = [u64; 2]>) -> u64 {
     let [kept, temporary] = steps.fold([0, 0], |[kept, most], [left, own]| [kept + left, most.max(own)]);
     kept + temporary
-}
-
-/// Checks that the disk of a folder has room for `bytes` of views.
-///
-/// # Errors
-/// If it has not. A disk whose free space is not known is not checked.
-pub(crate) fn check(folder: &Path, bytes: u64) -> Result<(), PipelineError> {
-    match fs4::available_space(folder) {
-        Ok(free) if free < bytes => Err(PipelineError::value(
-            folder,
-            "disk space",
-            format!(
-                "{:.1} GB for the views that are not rendered yet; another folder (`-o`), fewer views (`render.most_views`) or fewer pixels (`--resolution`) need less space on this disk",
-                bytes as f64 / 1e9
-            ),
-            format!("{:.1} GB", free as f64 / 1e9),
-        )),
-        _ => Ok(()),
-    }
 }
 
 #[cfg(test)]
@@ -133,14 +101,5 @@ mod tests {
         assert_eq!(disk.of_step(StepKind::Patterns), [0, 0]);
         let (disk, rays) = disk_of(|job| job.render.denoise = Denoise::Off);
         assert_eq!([StepKind::Trace, StepKind::Denoise].map(|kind| disk.of_step(kind)), [[12 * rays, 0], [0, 0]]);
-    }
-
-    #[test]
-    fn a_disk_that_is_too_small_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        assert!(check(folder.path(), 1).is_ok());
-        let error = check(folder.path(), 1 << 62).unwrap_err().to_string();
-        assert!(error.contains("disk space: expected 4611686018.4 GB for the views"), "{error}");
-        assert!(check(&folder.path().join("nothing"), 1 << 62).is_ok(), "a disk that is not known is not checked");
     }
 }

@@ -27,8 +27,8 @@ use super::fields::{FieldJob, Shot};
 use super::groups::in_groups;
 use crate::error::{PipelineError, render_error};
 use crate::job::{Denoise, Job};
-use crate::plan::disk;
 use crate::store::files::{read_json, write_json};
+use crate::store::space;
 use crate::store::views::{read_split, read_view, split_path, view_path, write_view};
 
 /// Returns the version of Open Image Denoise that the denoiser `oidn` uses.
@@ -216,7 +216,7 @@ fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered
 pub(crate) fn shared_bytes(field: &FieldJob, job: &Job) -> u64 {
     let geometry = &field.traced;
     let light = if job.render.is_held(geometry) { 0 } else { SharedLight::BYTES_PER_RAY };
-    (geometry.grid.iter().count() * geometry.rows * geometry.cols) as u64 * (disk::VIEW + light)
+    (geometry.grid.iter().count() * geometry.rows * geometry.cols) as u64 * (space::VIEW + light)
 }
 
 /// Reads a traced view whose diffuse and other light are separate.

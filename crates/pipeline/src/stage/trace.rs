@@ -17,7 +17,7 @@ use super::ingest::Ingested;
 use super::{denoise, depth};
 use crate::error::{PipelineError, render_error};
 use crate::job::{Denoise, Engine};
-use crate::plan::disk;
+use crate::store::space;
 use crate::store::views::{
     guides_path, missing, read_splats, read_split, read_view, splats_path, split_path, variance_path, view_path,
     write_guides, write_splats, write_split, write_view,
@@ -58,9 +58,9 @@ impl Todo {
     /// Returns the bytes of the picture's files.
     fn bytes(&self, field: &FieldJob, kind: Denoise) -> u64 {
         let pixels = (field.traced.rows * field.traced.cols) as u64;
-        let guides = if self.guides.is_some() { disk::GUIDES } else { 0 };
-        let variance = if self.variance.is_some() { disk::VIEW } else { 0 };
-        pixels * (disk::traced(kind, &field.settings) + guides + variance)
+        let guides = if self.guides.is_some() { space::GUIDES } else { 0 };
+        let variance = if self.variance.is_some() { space::VIEW } else { 0 };
+        pixels * (space::traced(kind, &field.settings) + guides + variance)
     }
 }
 
@@ -158,7 +158,7 @@ fn trace_views(
         Denoise::Shared if !is_finished && block == Block::ALL => denoise::shared_bytes(field, job),
         _ => 0,
     });
-    disk::check(cache_dir, of_todo.chain(of_filter).sum())?;
+    space::check(cache_dir, of_todo.chain(of_filter).sum())?;
     if engine == Engine::Blender {
         for (number, field) in fields.iter().enumerate() {
             let of_field = todo.iter().filter(|todo| todo.field == number);
