@@ -1,4 +1,5 @@
-//! Upper bound of the disk space of a plan. Only light fields are counted. Patterns, pictures and the report need far less space.
+//! Upper bound of the disk space of a plan. Only light fields are counted. Patterns, pictures and
+//! the report need far less space.
 
 use lumistack_display::{Display, FieldGeometry, ViewGrid};
 use lumistack_pathtracer::Settings;
