@@ -252,15 +252,15 @@ pub(crate) struct Factorize {
 pub(crate) struct Simulate {
     /// A run folder
     pub(crate) dir: PathBuf,
-    /// Direction from the display to an eye that is far away (parallel projection). X is to the
-    /// right, Y up, degrees [default, without --eye and --sweep: 0,0]
+    /// Direction from the display to an eye that is far away (parallel projection). Angles in
+    /// degrees: X to the right, Y up [default, without --eye and --sweep: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with_all = ["eye", "sweep"])]
     pub(crate) view: Option<Numbers<2>>,
     /// Position of an eye that is near (perspective projection), millimetres from the display's
     /// centre: X to the right, Y up, Z to the front
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "sweep")]
     pub(crate) eye: Option<Numbers<3>>,
-    /// Write N views side by side, spread evenly over the horizontal field of view, 1 to 64
+    /// Write N views (1 to 64) side by side, spread evenly over the horizontal field of view
     #[arg(long, value_name = "N")]
     pub(crate) sweep: Option<usize>,
     /// Write the light that the display emits. Without this flag the light is divided by the

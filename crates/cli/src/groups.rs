@@ -132,7 +132,7 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "EV", allow_hyphen_values = true)]
     pub(crate) exposure_ev: Option<f64>,
     /// Tone curve of all views: auto, linear, khronos-neutral or agx. Auto means linear if hardly
-    /// anything is brighter than white, otherwise khronos-neutral
+    /// anything is brighter than white, or if the scene has splats; otherwise khronos-neutral
     #[arg(long, value_name = "CURVE", value_parser = ["auto", "linear", "khronos-neutral", "agx"])]
     pub(crate) tone: Option<String>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.

@@ -72,7 +72,7 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
         "toml" => toml(path, registry, task),
         _ if path.join("layers/stack.json").is_file() => run_folder(path),
         _ if path.join("stack.json").is_file() => stack(path),
-        _ if path.join("report.json").is_file() => several(path),
+        _ if is_several(path) => several(path),
         _ => {
             let description = describe_light_field(path, &geometry(&args.geometry), task)?;
             Ok(json!({ "light field": serde_json::to_value(description).expect("descriptions serialize") }))
@@ -237,7 +237,10 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
         json!({ "job": serde_json::to_value(&job).expect("jobs serialize"), "display": display(&resolved)["display"] });
     if let Some([memory, disk]) = needs_of(&job) {
         value["memory of a run"] = format!("at most {}", size_text(memory)).into();
-        value["disk space of a run"] = format!("at most {}", size_text(disk)).into();
+        // Time steps and designs add up; `run --plan` and `sweep --plan` print their sum.
+        if job.sequence.is_none() && job.sweep.is_none() {
+            value["disk space of a run"] = format!("about {}", size_text(disk)).into();
+        }
     }
     if !refused.is_empty() {
         value["outputs that a run would refuse"] = refused.into();
@@ -293,6 +296,13 @@ fn run_folder(path: &Path) -> Result<Value, PipelineError> {
     Ok(value)
 }
 
+/// Returns true for the folder of a sequence, or of a run with several displays.
+fn is_several(path: &Path) -> bool {
+    let report = lumistack_files::read_text(&path.join("report.json")).ok();
+    let report = report.and_then(|text| serde_json::from_str::<Value>(&text).ok()).unwrap_or_default();
+    ["lumistack/sequence-report", "lumistack/graph-report"].iter().any(|schema| report["schema"] == *schema)
+}
+
 /// Describes the folder of a sequence, or of a run with several displays, by its report.
 fn several(path: &Path) -> Result<Value, PipelineError> {
     let file = path.join("report.json");
@@ -311,6 +321,12 @@ fn several(path: &Path) -> Result<Value, PipelineError> {
         let parts = of_parts(key, name);
         if !parts.is_empty() {
             result[text] = parts.into();
+        }
+    }
+    // With several displays, the scores of the whole report are those of the first display.
+    if !result["displays"].is_null() {
+        for key in ["psnr_view", "psnr over the zone", "flicker", "time steps"] {
+            result[key] = Value::Null;
         }
     }
     Ok(json!({ "run folder": path.display().to_string(), "result": result }))

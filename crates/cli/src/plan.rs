@@ -94,7 +94,7 @@ fn table(plan: &Plan) -> Vec<String> {
     let (count, time) = (plan.steps.len(), duration_text(seconds));
     let (memory, disk) = (size_text(most), size_text(plan.disk_bytes));
     lines.push(format!(
-        "number of steps in {}: {count}; number of cached steps: {cached}; estimated time {time}, at most {memory} of memory and {disk} of disk space",
+        "number of steps in {}: {count}; number of cached steps: {cached}; estimated time {time}, at most {memory} of memory, about {disk} of disk space",
         plan.folder.display()
     ));
     lines

@@ -257,7 +257,8 @@ mod tests {
         }
     }
 
-    /// Expected values were computed by hand from the specification, for one colour of each branch.
+    /// Expected values were computed by hand from the specification, for at least one colour of
+    /// each branch.
     #[test]
     fn khronos_neutral_follows_its_specification() {
         let cases = [

@@ -325,8 +325,8 @@ mod tests {
                     Projection::Perspective { distance_mm } => (x - z * slope) / (1.0 - z / distance_mm),
                 };
                 let straight = seen(0.0, 17.0, z);
-                // Find x of the point at depth `shown` that appears at `straight` along slope 0, as
-                // the point (17, z) does.
+                // Place a second point at depth `shown`. Along slope 0, it appears at the same
+                // position `straight` as the point (17, z).
                 let x = match projection {
                     Projection::Oblique => straight,
                     Projection::Perspective { distance_mm } => straight * (1.0 - shown / distance_mm),

@@ -212,10 +212,10 @@ struct Row {
     update_ms: f64,
 }
 
-/// Iterates, and returns the PSNR after the given numbers of iterations.
+/// Returns the row of one combination, with the PSNR after the given numbers of iterations.
 ///
-/// If the display allows no coarser level, the start equals the start of the previous row `before`.
-/// The result is then a copy of that row's values, without a new run.
+/// Rows with 0 and 1 coarser levels follow each other. If the display allows no coarser level, the
+/// two rows have equal starts, so the second row copies the values of the first row `before`.
 fn curve(group: &Group, settings: Settings, iterations: &[u32], before: Option<&Row>) -> Outcome<Row> {
     let problem = Problem { display: &group.display, target: &group.target, weights: &Weights::Uniform };
     let (warnings, cancel) = (Collector::default(), Cancel::default());

@@ -64,7 +64,8 @@ pub(crate) struct SumParams {
 
 /// One block of a line: the pixels x to x + lanes. Its sums and values go to `buffers`.
 ///
-/// A block that overlaps a view's valid range must lie within that view's padded rows.
+/// If a block contains valid rays of a view, x to x + lanes must lie within that view's rows of
+/// target and weights, padding included.
 pub(crate) struct BlockOfLine<'a> {
     pub(crate) rays: &'a LineRays<'a>,
     pub(crate) x: usize,

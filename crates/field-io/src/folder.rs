@@ -372,7 +372,7 @@ fn listed_files(
 ) -> Result<Vec<PathBuf>, FieldError> {
     let [rows, cols] = [slope_y.len(), slope_x.len()];
     if entries.len() != rows * cols {
-        let expected = format!("{cols} × {rows} views, one per slope");
+        let expected = format!("{cols} × {rows} views, one for each pair of slopes (x, y)");
         return Err(FieldError::malformed(index, "views", expected, entries.len().to_string()));
     }
     let inside = Folder::around(index).map_err(FieldError::io(index, "read"))?;

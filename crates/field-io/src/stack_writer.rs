@@ -52,8 +52,8 @@ impl StackWriter {
     }
 
     /// Writes one region of each layer, and of the lenslets if there are any. `part` has the
-    /// values. `regions` states their positions: first of the layers from rear to front, then of
-    /// the lenslets.
+    /// values. `regions` has one region for each array of `part`: the layers from rear to front,
+    /// then the lenslets.
     ///
     /// # Errors
     /// If the disk is full or fails.

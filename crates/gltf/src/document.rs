@@ -93,10 +93,11 @@ impl<'a> Document<'a> {
     where
         json::Root: Get<T> + AsRef<[T]>,
     {
-        // the typed reader keeps only 32 bits of an index, so compare the index as written too
+        // the typed reader keeps only 32 bits of an index, so check that the number in the file
+        // equals the index
         let written = self.json(place).and_then(Value::as_u64);
         match self.root.get(index) {
-            // if there is no number at `place`, then `place` is the object itself
+            // without a number at `place`, there is nothing to compare, since the object is there
             Some(item) if written.is_none_or(|written| written == index.value() as u64) => Ok(item),
             _ => {
                 let count = AsRef::<[T]>::as_ref(&self.root).len();

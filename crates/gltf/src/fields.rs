@@ -1,5 +1,5 @@
-//! Reads members of JSON objects without the types of the external crate `gltf`: extensions and
-//! animations.
+//! Reads members of the JSON objects of extensions and animations, without the types of the
+//! external crate `gltf`.
 
 use gltf::json;
 use serde_json::Value;

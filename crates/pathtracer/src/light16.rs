@@ -14,7 +14,7 @@ const OFFSET: u32 = 96 << 10;
 /// become the smallest or the largest value.
 #[inline]
 pub(crate) fn encode(value: f32) -> u16 {
-    let bits = value.max(0.0).to_bits();
+    let bits = if value > 0.0 { value.to_bits() } else { 0 };
     let code = ((bits + (1 << (DROPPED - 1))) >> DROPPED).saturating_sub(OFFSET);
     code.min(u32::from(u16::MAX)) as u16
 }

@@ -49,8 +49,8 @@ use crate::sampler::{Draws, Pair};
 use crate::settings::Settings;
 use crate::shading::Materials;
 
-/// Number of pairs of random numbers that the primary ray uses: position in the pixel, slope in the
-/// bin.
+/// Number of pairs of random numbers for a primary ray. The first pair chooses the position in the
+/// pixel, the second pair the slope within the angular filter.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;
 /// Number of pairs of random numbers per vertex of a path. The first pair chooses the scattered
 /// direction, and the second chooses the point of a light. The third decides about roulette, and

@@ -98,7 +98,7 @@ pub(crate) fn check_free(py: Python<'_>, folder: &Path, holds: Holds) -> PyResul
         );
         return Err(exception(py, "FileError", &message));
     }
-    // Content of save() has an index. Without an index, files with these names are from elsewhere.
+    // Finished content of save() has an index.
     let (index, names) = match holds {
         Holds::Views => (INDEX.to_owned(), vec!["view_00_00.exr", "view_000_000.exr"]),
         Holds::Patterns => (format!("layers/{}", StackIndex::FILE), vec!["display.toml", "layers"]),
@@ -106,7 +106,7 @@ pub(crate) fn check_free(py: Python<'_>, folder: &Path, holds: Holds) -> PyResul
     let foreign = |name: &&str| !folder.join(&index).is_file() && is_full(&folder.join(name));
     if let Some(name) = names.into_iter().find(foreign) {
         let message = format!(
-            "{}: expected a free folder for {what}, found `{name}` of another program; give another folder",
+            "{}: expected a free folder for {what}, found `{name}` of another program, or of a save that was stopped; remove it, or give another folder",
             folder.display()
         );
         return Err(exception(py, "FileError", &message));

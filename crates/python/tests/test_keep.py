@@ -103,7 +103,7 @@ def test_a_folder_holds_one_thing(light_field: LightField, tmp_path: Path) -> No
         folder = tmp_path / name.replace("/", "-")
         (folder / name).parent.mkdir(parents=True)
         (folder / name).write_text("mine")
-        with pytest.raises(lumistack.FileError, match="of another program; give another folder"):
+        with pytest.raises(lumistack.FileError, match="of another program, or of a save that was stopped"):
             save(folder)
         assert (folder / name).read_text() == "mine" and len(list(folder.rglob("*.*"))) == 1
     assert LayerStack.open(tmp_path / "run").frames == 2 and not (tmp_path / "views.v2" / "layers").exists()

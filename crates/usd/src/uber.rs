@@ -178,8 +178,8 @@ pub(crate) fn unlit(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     builder.roughness(&Value::Constant([1.0]), &Value::Constant([0.0]));
     builder.specular(&Value::Constant([0.0]), &Value::Constant(WHITE), 1.5);
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [1.0]));
-    // read this input, so that no warning lists it; it has an effect only with the weight in the
-    // following list
+    // read this input, so that no warning lists it; it matters only if `transmission` is not 0, and
+    // then the warning lists `transmission`
     inputs.text("transmission_color");
     &[("transmission", 0.0)]
 }

@@ -58,9 +58,13 @@ pub(crate) fn document(
     scale: f64,
 ) -> Result<Vec<u8>, PluginError> {
     let mut arrays = Arrays::default();
+    // Colours of vertices are 0 to 1 in most files, and 0 to 255 in some.
+    let brightest =
+        models.iter().flat_map(|model| &model.mesh.vertex_color).fold(0.0, |most: f32, code| most.max(*code));
+    let white = if brightest > 1.0 { 255.0 } else { 1.0 };
     let meshes: Vec<Value> = models
         .iter()
-        .map(|model| json!({"name": model.name, "primitives": [primitive(&mut arrays, &model.mesh, materials.len())]}))
+        .map(|model| json!({"name": model.name, "primitives": [primitive(&mut arrays, &model.mesh, materials, white)]}))
         .collect();
     let mut nodes: Vec<Value> = models.iter().enumerate().map(|(i, m)| json!({"name": m.name, "mesh": i})).collect();
     // If z is up, a quarter turn about x turns z to y, the upward axis of glTF.
@@ -82,7 +86,8 @@ pub(crate) fn document(
     glb(&root, arrays.bytes)
 }
 
-fn primitive(arrays: &mut Arrays, mesh: &Mesh, materials: usize) -> Value {
+/// Makes a primitive of a mesh. `white` is the value of white in colours of vertices.
+fn primitive(arrays: &mut Arrays, mesh: &Mesh, materials: &[MtlMaterial], white: f32) -> Value {
     let positions = arrays.floats(&mesh.positions, "VEC3", 3);
     let (min, max) = bounds(&mesh.positions);
     arrays.accessors[positions]["min"] = json!(min);
@@ -95,13 +100,15 @@ fn primitive(arrays: &mut Arrays, mesh: &Mesh, materials: usize) -> Value {
         let downwards: Vec<f32> = mesh.texcoords.chunks_exact(2).flat_map(|uv| [uv[0], 1.0 - uv[1]]).collect();
         attributes["TEXCOORD_0"] = arrays.floats(&downwards, "VEC2", 2).into();
     }
-    if mesh.vertex_color.len() == mesh.positions.len() {
-        let linear: Vec<f32> = mesh.vertex_color.iter().map(|code| linear_of(*code)).collect();
+    // Scans may have a texture and the same colours at the vertices, which would be multiplied.
+    let has_picture = mesh.material_id.and_then(|id| materials.get(id)).is_some_and(|one| one.diffuse_map.is_some());
+    if mesh.vertex_color.len() == mesh.positions.len() && !has_picture {
+        let linear: Vec<f32> = mesh.vertex_color.iter().map(|code| linear_of(code / white)).collect();
         attributes["COLOR_0"] = arrays.floats(&linear, "VEC3", 3).into();
     }
     let indices = arrays.add(mesh.indices.iter().map(|i| i.to_le_bytes()), "SCALAR", UNSIGNED_INT, 1, INDICES);
     let mut primitive = json!({"attributes": attributes, "indices": indices});
-    if let Some(material) = mesh.material_id.filter(|material| *material < materials) {
+    if let Some(material) = mesh.material_id.filter(|material| *material < materials.len()) {
         primitive["material"] = material.into();
     }
     primitive

@@ -4,7 +4,7 @@
 //! | OBJ, MTL | glTF |
 //! |---|---|
 //! | `v`, `vn`, `vt` | positions, normals, texture coordinates (v points downwards in glTF). If only some faces of an object have normals or coordinates, they are left out with a warning |
-//! | `v` with six values | positions and vertex colours (sRGB, 0 to 1), which multiply the base colour |
+//! | `v` with six values | positions and vertex colours (sRGB, 0 to 1, or 0 to 255 if a value exceeds 1), which multiply the base colour unless it has a texture. All vertices must have colours, or none |
 //! | `f` | triangles; polygons become fans of triangles |
 //! | `o`, `g`, `usemtl` | one mesh per object or group and material |
 //! | `Kd`, `map_Kd`, `d` | base colour (linear), its texture with scale `-s`, offset `-o` and `-clamp`, alpha |

@@ -169,17 +169,29 @@ fn pictures_are_found_beside_their_material_file() {
 }
 
 /// Six values after `v` are a position and an sRGB colour, as MeshLab, trimesh and Blender write
-/// them. The colours of the mesh are linear.
+/// them. The colours of the mesh are linear. Colours up to 255 are divided by 255. A mesh with a
+/// texture gets no colours.
 #[test]
 fn colours_of_vertices_arrive() {
-    let text = "v 0 0 0 1 0.5 0\nv 1 0 0 0 0 1.5\nv 0 1 0 -1 0.04 1\nf 1 2 3\n";
-    let files = Files(BTreeMap::from([("a.obj", text)]));
-    let bytes = document(&files, &json!({}), &MemoryHost::new()).unwrap();
-    let (warnings, cancel) = (Collector::default(), Cancel::default());
-    let scene = lumistack_gltf::load("a.glb", &bytes, &files, Task::quiet(&warnings, &cancel)).unwrap();
+    let colours = |text: &'static str| {
+        let files = Files(BTreeMap::from([("a.obj", text), ("a.mtl", "newmtl m\nmap_Kd a.png\n"), ("a.png", "none")]));
+        let bytes = document(&files, &json!({}), &MemoryHost::new()).unwrap();
+        let json = String::from_utf8_lossy(&bytes).into_owned();
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let scene = lumistack_gltf::load("a.glb", &bytes, &files, Task::quiet(&warnings, &cancel));
+        (json.contains("COLOR_0"), scene.map(|scene| scene.meshes[0].colors.clone()).unwrap_or_default())
+    };
     let expected = [[1.0, 0.214_041, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.003_095_98, 1.0, 1.0]];
-    for (color, expected) in scene.meshes[0].colors.iter().zip(expected) {
-        assert!(color.abs_diff_eq(expected.into(), 1e-6), "{color} {expected:?}");
+    for text in [
+        "v 0 0 0 1 0.5 0\nv 1 0 0 0 0 1\nv 0 1 0 -1 0.04 1\nf 1 2 3\n",
+        "v 0 0 0 255 127.5 0\nv 1 0 0 0 0 255\nv 0 1 0 -1 10.2 255\nf 1 2 3\n",
+    ] {
+        let (_, found) = colours(text);
+        for (color, expected) in found.iter().zip(expected) {
+            assert!(color.abs_diff_eq(expected.into(), 1e-6), "{color} {expected:?}");
+        }
+        assert_eq!(found.len(), 3);
     }
-    assert_eq!(scene.meshes[0].colors.len(), 3);
+    let textured = "mtllib a.mtl\nusemtl m\nv 0 0 0 1 1 1\nv 1 0 0 1 1 1\nv 0 1 0 1 1 1\nvt 0 0\nf 1/1 2/1 3/1\n";
+    assert!(!colours(textured).0);
 }

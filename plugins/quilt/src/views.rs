@@ -152,10 +152,10 @@ pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option
         return Ok(None);
     }
     let have = format!("views across: {available} in the light field, {count} in the quilt");
-    let render = format!("render views = [{count}, 1] for a view of its own in every tile");
+    let render = format!("for one view per tile, render the light field with `views = [{count}, 1]`");
     match missing {
         Missing::Refuse => Err(PluginError::Refused(format!("{have}: {render}"))),
-        Missing::Nearest => Ok(Some(format!("{have}: the nearest views are taken; {render}"))),
+        Missing::Nearest => Ok(Some(format!("{have}: every tile shows the nearest view; {render}"))),
         Missing::Blend => {
             Ok(Some(format!("{have}: neighbouring views are blended, which shows double edges; {render}")))
         }

@@ -104,7 +104,8 @@ pub(crate) fn assembly(
     }
     let darkest = film.dark.map(|dark| format!("{dark:.3}")).join(", ");
     lines.push(String::new());
-    lines.push(format!("Films of {} mm. Darkest print over clear film: {darkest} (red, green, blue).", params.film_mm));
+    lines.push(format!("Thickness of a film: {} mm.", params.film_mm));
+    lines.push(format!("Transmittance of the darkest print, relative to clear film: {darkest} (red, green, blue)."));
     if let Some(clear) = film.clear {
         let clear = clear.map(|clear| format!("{clear:.3}")).join(", ");
         lines.push(format!("Clear film transmits {clear} of the light; every layer is darker by that factor."));

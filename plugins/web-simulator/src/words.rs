@@ -23,13 +23,12 @@ pub(crate) fn caption_of(title: &str, display: &Display) -> String {
     let below = if matches!(display.backlight, Backlight::Lenslets(_)) { " over a directional backlight" } else { "" };
     let frames = match display.frames {
         1 => String::new(),
-        count => format!(" and {} frames in quick succession", in_words(count)),
+        count => format!(", and shows {} frames in quick succession", in_words(count)),
     };
-    let show = if display.layers.len() == 1 && display.frames == 1 { "shows" } else { "show" };
     let half = 0.5 * display.field.fov_deg[0].max(display.field.fov_deg[1]);
     let half = (10.0 * half).round() / 10.0;
     format!(
-        "{title} in 3D without glasses, within {half}° of straight ahead: {layers} of pixels{below}{frames} {show} it."
+        "{title} in 3D without glasses, within {half}° of straight ahead. The display has {layers} of pixels{below}{frames}."
     )
 }
 
@@ -63,12 +62,12 @@ mod tests {
         let display = Display::uniform([6, 5], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 0.0, 3.0], 6);
         assert_eq!(
             caption_of("Still life", &display),
-            "Still life in 3D without glasses, within 10° of straight ahead: three layers of pixels and six frames in quick succession show it."
+            "Still life in 3D without glasses, within 10° of straight ahead. The display has three layers of pixels, and shows six frames in quick succession."
         );
         let display = Display::uniform([6, 5], 1.0, [3, 3], [25.0, 10.0], &[0.0], 1);
         assert_eq!(
             caption_of("X", &display),
-            "X in 3D without glasses, within 12.5° of straight ahead: one layer of pixels shows it."
+            "X in 3D without glasses, within 12.5° of straight ahead. The display has one layer of pixels."
         );
     }
 }

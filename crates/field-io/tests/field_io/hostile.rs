@@ -215,7 +215,7 @@ fn indices_that_contradict_themselves_name_the_key() {
         ("/pitch_mm", "null", "pitch_mm: expected a value, found none"),
         ("/distance_mm", "null", "distance_mm: expected a value, found none"),
         ("/projection", "\"fisheye\"", "unknown variant `fisheye`"),
-        ("/slope_x", "[0.0]", "views: expected 1 × 1 views, one per slope, found 2"),
+        ("/slope_x", "[0.0]", "views: expected 1 × 1 views, one for each pair of slopes (x, y), found 2"),
         ("/slope_x", "[]", "1 to 16384 views per axis, found 0 × 1"),
         ("/slope_x/0", "1e999", "number out of range"),
         (

@@ -61,9 +61,9 @@ const MOST: f32 = 8.0;
 const TEXTURE: f32 = 0.2;
 /// Number of further rays of a pixel inside of a texture, as a multiple of the samples of a pixel.
 const TEXTURE_RAYS: u32 = 3;
-/// The variance of a path is estimated as the variance of neighbouring pixels times the number of
-/// samples, or times this number if it is smaller. With more samples, most of the pixels' variance
-/// is contrast of the picture, which does not fall.
+/// Largest factor from the variance of neighbouring pixels to the variance of a path. Below this
+/// limit, the factor is the number of samples. With more samples, most of the pixels' variance is
+/// contrast of the picture, which more samples do not reduce.
 const NOISY_SAMPLES: f32 = 4.0;
 
 /// Indices of the values by which the pixels around a pixel are compared.

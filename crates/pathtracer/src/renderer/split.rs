@@ -97,8 +97,8 @@ impl SplitView {
     }
 
     /// Returns the values in few bytes for a file: [`packed_bytes`](Self::packed_bytes) per pixel.
-    /// Light and reflectance have a relative error of at most 2⁻¹¹, and the components of normals
-    /// an error of at most 1/254.
+    /// Light and reflectance have a relative error of at most 2⁻¹¹ (negative values become 0), and
+    /// the components of normals an error of at most 1/254.
     pub fn to_bytes(&self) -> Vec<u8> {
         let [rows, cols, parts] = self.values.shape();
         let size = bytes_of(parts);

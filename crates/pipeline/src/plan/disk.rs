@@ -1,4 +1,4 @@
-//! Upper bound of the disk space of a plan. Only light fields are counted. Patterns, pictures and
+//! Estimate of the disk space of a plan. Only light fields are counted. Patterns, pictures and
 //! the report need far less space.
 
 use lumistack_display::{Display, FieldGeometry, ViewGrid};
@@ -6,14 +6,14 @@ use lumistack_pathtracer::Settings;
 use lumistack_pathtracer::denoise::SharedLight;
 
 use super::steps::StepKind;
-use crate::job::{Denoise, Job};
-use crate::store::space::{GUIDES, VIEW, traced};
+use crate::job::{Background, Denoise, Job};
+use crate::reader::is_capture;
+use crate::store::space::{GUIDES, SPLATS, VIEW, traced};
 
 /// Bytes of a ray in a light field that a run writes.
 const WRITTEN: u64 = 3 * size_of::<u16>() as u64;
-/// Bytes of a ray in the file from which the solver reads a light field that is not in memory, and
-/// in the solver's copy.
-const SOLVED: u64 = VIEW + WRITTEN;
+/// Bytes of a ray in a file that marks the rays that hit nothing.
+const MISSED: u64 = size_of::<f32>() as u64;
 
 /// Disk space of a part's light fields, bytes.
 #[derive(Clone, Copy)]
@@ -26,6 +26,10 @@ pub(super) struct Disk {
     scored: u64,
     /// The filter of the traced views, and the settings of their paths.
     filter: (Denoise, Settings),
+    /// Bytes of a ray in the files of splats, and of the rays that hit nothing.
+    other: u64,
+    /// Bytes of a ray in the solver's files.
+    solved: u64,
 }
 
 impl Disk {
@@ -33,12 +37,19 @@ impl Disk {
         let pixels = (geometry.rows * geometry.cols) as u64;
         let rays = |grid: &ViewGrid| grid.iter().count() as u64 * pixels;
         let target = rays(&geometry.grid);
+        let is_capture = job.scene.as_deref().is_some_and(is_capture);
         let settings = Settings { further_paths: job.has_further_paths(display), ..Settings::default() };
         Self {
             rays: target + others.iter().flatten().map(rays).sum::<u64>(),
             in_files: if job.render.is_held(geometry) { 0 } else { target },
             scored: 2 * job.report.zone_directions as u64 * pixels,
             filter: (job.denoise_for(display), settings),
+            other: [(is_capture, SPLATS), (job.light.background != Background::Environment, MISSED)]
+                .map(|(is_written, bytes)| if is_written { bytes } else { 0 })
+                .iter()
+                .sum(),
+            // values of given pictures may need single floats in the solver's copy
+            solved: if job.light_field.is_some() { 2 * VIEW } else { VIEW + WRITTEN },
         }
     }
 
@@ -49,16 +60,17 @@ impl Disk {
         let traced = traced(filter, &settings);
         match (kind, filter) {
             // both halves of every view, and their guides
-            (StepKind::Trace, Denoise::Guided | Denoise::Oidn) => [2 * (traced + GUIDES) * self.rays, 0],
-            (StepKind::Trace, Denoise::Auto | Denoise::Off) => [traced * self.rays, 0],
+            (StepKind::Trace, Denoise::Guided | Denoise::Oidn) => [(2 * (traced + GUIDES) + self.other) * self.rays, 0],
+            (StepKind::Trace, Denoise::Auto | Denoise::Off) => [(traced + self.other) * self.rays, 0],
             // the split views are temporary: the filter removes them
+            (StepKind::Trace, Denoise::Shared) => [self.other * self.rays, 0],
             (StepKind::Denoise, Denoise::Shared) => {
                 [VIEW * self.rays, traced * self.rays + SharedLight::BYTES_PER_RAY * self.in_files]
             }
             (StepKind::Denoise, Denoise::Guided | Denoise::Oidn) => [VIEW * self.rays, 0],
             (StepKind::Expose | StepKind::Read | StepKind::Source, _) => [WRITTEN * self.rays, 0],
             (StepKind::Score, _) => [VIEW * self.scored, 0],
-            (StepKind::Patterns | StepKind::Design(_) | StepKind::Search, _) => [0, SOLVED * self.in_files],
+            (StepKind::Patterns | StepKind::Design(_) | StepKind::Search, _) => [0, self.solved * self.in_files],
             _ => [0, 0],
         }
     }

@@ -497,8 +497,8 @@ const FURTHER_TIMES: f64 = 1.8;
 /// values of its first paths, of the further paths, and of all paths together.
 const FURTHER_VALUES: f64 = 64.0;
 
-/// Returns upper bounds of the memory and of the disk space of a job's run, bytes; `None` if its
-/// display or its light field cannot be read. See
+/// Returns an upper bound of the memory of a job's run, and an estimate of the disk space of one
+/// light field and its display, bytes. `None` if the display or the light field cannot be read. See
 /// [`Step::memory_bytes`](super::steps::Step::memory_bytes) and
 /// [`Plan::disk_bytes`](super::steps::Plan::disk_bytes).
 pub fn needs_of(job: &Job) -> Option<[u64; 2]> {
@@ -559,9 +559,9 @@ fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
 
 /// Measures the rate of a chain of operations on one thread in a few milliseconds, and multiplies
 /// it by the number of threads. A step of the chain is a shift, an exclusive or, and a
-/// multiplication. Each step needs the result of the step before, so every build of the program
-/// takes the same time. Multiply-adds on vectors did not: builds with other optimizations took up
-/// to 60 times as long.
+/// multiplication. Each step needs the result of the step before, so all builds of the program
+/// take nearly the same time. Multiply-adds on vectors did not: builds with other optimizations
+/// took up to 60 times as long.
 ///
 /// The fastest of several short rounds counts, since other work may interrupt a round. Only one
 /// thread is measured, since rounds of all threads would be interrupted more often.

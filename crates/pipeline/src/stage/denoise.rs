@@ -96,7 +96,10 @@ pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result
     let kind = shot.denoise();
     let mut cached = true;
     for field in fields {
-        if !is_finished(field, kind) {
+        if is_finished(field, kind) {
+            // a run that was killed after the filter may have left split views
+            remove_splits(field, kind)?;
+        } else {
             cached = false;
             filter(field, shot, task)?;
         }
@@ -158,13 +161,20 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
     checked?;
     // The scores are written last, since they mark the light field as finished.
     write_json(&figures_path(&folder), &written)?;
-    if kind == Denoise::Shared {
-        // Remove all split views but the central one, since they take gigabytes and the report
-        // shows only the central one.
-        let middle = middle(geometry);
-        for view in geometry.grid.iter().filter(|view| *view != middle) {
-            let path = split_path(&field.folder, view);
-            std::fs::remove_file(&path).map_err(PipelineError::write(&path))?;
+    remove_splits(field, kind)
+}
+
+/// Removes all split views of a filtered light field but the central one, since they take gigabytes
+/// and the report shows only the central one.
+fn remove_splits(field: &FieldJob, kind: Denoise) -> Result<(), PipelineError> {
+    let middle = middle(&field.traced);
+    for view in field.traced.grid.iter().filter(|view| kind == Denoise::Shared && *view != middle) {
+        let path = split_path(&field.folder, view);
+        match std::fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(PipelineError::write(&path)(error));
+            }
+            _ => {}
         }
     }
     Ok(())
@@ -211,12 +221,18 @@ fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered
     }))
 }
 
-/// Returns the bytes of the files that the filter `shared` makes before it removes the split views:
-/// the filtered views, and the shared light if it is not in memory.
-pub(crate) fn shared_bytes(field: &FieldJob, job: &Job) -> u64 {
-    let geometry = &field.traced;
-    let light = if job.render.is_held(geometry) { 0 } else { SharedLight::BYTES_PER_RAY };
-    (geometry.grid.iter().count() * geometry.rows * geometry.cols) as u64 * (space::VIEW + light)
+/// Returns the bytes of the filtered views that do not exist yet.
+pub(crate) fn missing_bytes(field: &FieldJob, kind: Denoise) -> u64 {
+    let folder = field.finished(kind);
+    let missing = field.traced.grid.iter().filter(|view| !view_path(&folder, *view, None).exists()).count();
+    if kind.filters() { missing as u64 * field.pixels() * space::VIEW } else { 0 }
+}
+
+/// Returns the bytes of the light that views share, if the light is not in memory.
+pub(crate) fn shared_bytes(field: &FieldJob, kind: Denoise, job: &Job) -> u64 {
+    let is_in_files = kind == Denoise::Shared && !job.render.is_held(&field.traced);
+    let rays = field.traced.grid.iter().count() as u64 * field.pixels();
+    if is_in_files { SharedLight::BYTES_PER_RAY * rays } else { 0 }
 }
 
 /// Reads a traced view whose diffuse and other light are separate.

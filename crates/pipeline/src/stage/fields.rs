@@ -222,6 +222,11 @@ impl FieldJob {
         if self.is_target() { chosen.to_vec() } else { self.geometry.grid.iter().collect() }
     }
 
+    /// Returns the number of pixels of a view.
+    pub(crate) fn pixels(&self) -> u64 {
+        (self.traced.rows * self.traced.cols) as u64
+    }
+
     /// Returns the settings of a view, or of a half of its samples.
     pub(crate) fn settings_of(&self, half: Option<usize>) -> Settings {
         match half {

@@ -57,10 +57,9 @@ struct Todo {
 impl Todo {
     /// Returns the bytes of the picture's files.
     fn bytes(&self, field: &FieldJob, kind: Denoise) -> u64 {
-        let pixels = (field.traced.rows * field.traced.cols) as u64;
         let guides = if self.guides.is_some() { space::GUIDES } else { 0 };
         let variance = if self.variance.is_some() { space::VIEW } else { 0 };
-        pixels * (space::traced(kind, &field.settings) + guides + variance)
+        field.pixels() * (space::traced(kind, &field.settings) + guides + variance)
     }
 }
 
@@ -151,14 +150,15 @@ fn trace_views(
         // Check the denoiser before the rendering, which may take hours.
         denoise::check(kind, job, shot.geometry)?;
     }
-    // A disk that is full would end the rendering, so check its free space, too. The filter of
-    // split views also needs space before it removes them.
+    // A disk that is full would end the rendering, so check its free space, too. A filter also
+    // needs space for its views, and for the shared light of one light field after another.
     let of_todo = todo.iter().map(|todo| todo.bytes(&fields[todo.field], kind));
-    let of_filter = fields.iter().zip(&is_shared).map(|(field, is_finished)| match kind {
-        Denoise::Shared if !is_finished && block == Block::ALL => denoise::shared_bytes(field, job),
-        _ => 0,
-    });
-    space::check(cache_dir, of_todo.chain(of_filter).sum())?;
+    let of_splats =
+        fields.iter().zip(&splats).map(|(field, views)| space::SPLATS * field.pixels() * views.len() as u64);
+    let unfiltered = || fields.iter().filter(|field| block == Block::ALL && !denoise::is_finished(field, kind));
+    let of_filter = unfiltered().map(|field| denoise::missing_bytes(field, kind));
+    let of_light = unfiltered().map(|field| denoise::shared_bytes(field, kind, job)).max();
+    space::check(cache_dir, of_todo.chain(of_splats).chain(of_filter).chain(of_light).sum())?;
     if engine == Engine::Blender {
         for (number, field) in fields.iter().enumerate() {
             let of_field = todo.iter().filter(|todo| todo.field == number);

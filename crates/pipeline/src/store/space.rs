@@ -9,6 +9,8 @@ use crate::job::Denoise;
 
 /// Bytes of a ray in a cached view.
 pub(crate) const VIEW: u64 = 3 * size_of::<f32>() as u64;
+/// Bytes of a ray in a cached view of splats.
+pub(crate) const SPLATS: u64 = 4 * size_of::<f32>() as u64;
 /// Bytes of a ray in the guides of a denoiser.
 pub(crate) const GUIDES: u64 = (Features::VALUES.next_multiple_of(3) * size_of::<f32>()) as u64;
 
@@ -22,12 +24,13 @@ pub(crate) fn traced(filter: Denoise, settings: &Settings) -> u64 {
 /// # Errors
 /// If it has not. A disk whose free space is not known is not checked.
 pub(crate) fn check(folder: &Path, bytes: u64) -> Result<(), PipelineError> {
-    match fs4::available_space(folder) {
-        Ok(free) if free < bytes => Err(PipelineError::value(
+    // some file systems do not know their size, and report 0
+    match fs4::statvfs(folder).ok().filter(|disk| disk.total_space() > 0).map(|disk| disk.available_space()) {
+        Some(free) if free < bytes => Err(PipelineError::value(
             folder,
             "disk space",
             format!(
-                "{:.1} GB for the views that are not rendered yet; another folder (`-o`), fewer views (`render.most_views`) or fewer pixels (`--resolution`) need less space on this disk",
+                "{:.1} GB for the views that are not rendered yet; `lumistack clean --all` removes the cached views of older runs; fewer views (`render.most_views`) and fewer pixels (`--resolution`) need less space",
                 bytes as f64 / 1e9
             ),
             format!("{:.1} GB", free as f64 / 1e9),

@@ -48,8 +48,8 @@ const NEAR: usize = 2;
 
 impl DepthMap {
     /// Computes the depth of `view` by matching it with `neighbour`, a view in the same row of
-    /// views. `None` if both have the same direction, or a row is shorter than the smallest
-    /// compared square.
+    /// views. `None` if both views have the same slope, or a view has fewer pixel columns than the
+    /// smallest compared square.
     pub(crate) fn new(field: &LightField, view: [usize; 2], neighbour: [usize; 2]) -> Option<Self> {
         let geometry = field.geometry();
         let step = geometry.grid.slope_x[neighbour[1]] - geometry.grid.slope_x[view[1]];
