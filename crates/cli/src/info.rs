@@ -72,8 +72,10 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
         "toml" => toml(path, registry, task),
         _ if path.join("layers/stack.json").is_file() => run_folder(path),
         _ if path.join("stack.json").is_file() => stack(path),
-        _ if is_several(path) => several(path),
         _ => {
+            if let Some(several) = several(path) {
+                return Ok(several);
+            }
             let description = describe_light_field(path, &geometry(&args.geometry), task)?;
             Ok(json!({ "light field": serde_json::to_value(description).expect("descriptions serialize") }))
         }
@@ -296,19 +298,14 @@ fn run_folder(path: &Path) -> Result<Value, PipelineError> {
     Ok(value)
 }
 
-/// Returns true for the folder of a sequence, or of a run with several displays.
-fn is_several(path: &Path) -> bool {
-    let report = lumistack_files::read_text(&path.join("report.json")).ok();
-    let report = report.and_then(|text| serde_json::from_str::<Value>(&text).ok()).unwrap_or_default();
-    ["lumistack/sequence-report", "lumistack/graph-report"].iter().any(|schema| report["schema"] == *schema)
-}
-
-/// Describes the folder of a sequence, or of a run with several displays, by its report.
-fn several(path: &Path) -> Result<Value, PipelineError> {
-    let file = path.join("report.json");
-    let malformed = |found: String| PipelineError::value(&file, "content", "a report of Lumistack", found);
-    let text = lumistack_files::read_text(&file).map_err(|error| malformed(error.to_string()))?;
-    let report: Value = serde_json::from_str(&text).map_err(|error| malformed(error.to_string()))?;
+/// Describes the folder of a sequence, or of a run with several displays, by its report. `None` if
+/// the folder has no such report.
+fn several(path: &Path) -> Option<Value> {
+    let text = lumistack_files::read_text(&path.join("report.json")).ok()?;
+    let report: Value = serde_json::from_str(&text).ok()?;
+    if !["lumistack/sequence-report", "lumistack/graph-report"].iter().any(|schema| report["schema"] == *schema) {
+        return None;
+    }
     let of_parts = |key: &str, name: &str| -> Vec<Value> {
         let parts = report[key].as_array().into_iter().flatten();
         parts.map(|part| json!({ "name": part[name], "psnr_view": part["psnr_view"], "psnr over the zone": part["psnr_zone"] })).collect()
@@ -329,7 +326,7 @@ fn several(path: &Path) -> Result<Value, PipelineError> {
             result[key] = Value::Null;
         }
     }
-    Ok(json!({ "run folder": path.display().to_string(), "result": result }))
+    Some(json!({ "run folder": path.display().to_string(), "result": result }))
 }
 
 fn stack(path: &Path) -> Result<Value, PipelineError> {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use lumistack_plugin::PluginError;
+use lumistack_plugin::core::colour::srgb_decode;
 use lumistack_plugin::serde_json::{self, Value, json};
 use tobj::{Mesh, Model};
 
@@ -103,7 +104,8 @@ fn primitive(arrays: &mut Arrays, mesh: &Mesh, materials: &[MtlMaterial], white:
     // Scans may have a texture and the same colours at the vertices, which would be multiplied.
     let has_picture = mesh.material_id.and_then(|id| materials.get(id)).is_some_and(|one| one.diffuse_map.is_some());
     if mesh.vertex_color.len() == mesh.positions.len() && !has_picture {
-        let linear: Vec<f32> = mesh.vertex_color.iter().map(|code| linear_of(code / white)).collect();
+        let linear: Vec<f32> =
+            mesh.vertex_color.iter().map(|code| srgb_decode((code / white).clamp(0.0, 1.0))).collect();
         attributes["COLOR_0"] = arrays.floats(&linear, "VEC3", 3).into();
     }
     let indices = arrays.add(mesh.indices.iter().map(|i| i.to_le_bytes()), "SCALAR", UNSIGNED_INT, 1, INDICES);
@@ -112,12 +114,6 @@ fn primitive(arrays: &mut Arrays, mesh: &Mesh, materials: &[MtlMaterial], white:
         primitive["material"] = material.into();
     }
     primitive
-}
-
-/// Converts an sRGB-encoded value 0..1 to linear light (IEC 61966-2-1).
-fn linear_of(encoded: f32) -> f32 {
-    let encoded = encoded.clamp(0.0, 1.0);
-    if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
 }
 
 fn bounds(positions: &[f32]) -> ([f32; 3], [f32; 3]) {

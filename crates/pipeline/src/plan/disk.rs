@@ -38,16 +38,14 @@ impl Disk {
         let rays = |grid: &ViewGrid| grid.iter().count() as u64 * pixels;
         let target = rays(&geometry.grid);
         let is_capture = job.scene.as_deref().is_some_and(is_capture);
+        let is_hidden = job.light.background != Background::Environment;
         let settings = Settings { further_paths: job.has_further_paths(display), ..Settings::default() };
         Self {
             rays: target + others.iter().flatten().map(rays).sum::<u64>(),
             in_files: if job.render.is_held(geometry) { 0 } else { target },
             scored: 2 * job.report.zone_directions as u64 * pixels,
             filter: (job.denoise_for(display), settings),
-            other: [(is_capture, SPLATS), (job.light.background != Background::Environment, MISSED)]
-                .map(|(is_written, bytes)| if is_written { bytes } else { 0 })
-                .iter()
-                .sum(),
+            other: if is_capture { SPLATS } else { 0 } + if is_hidden { MISSED } else { 0 },
             // values of given pictures may need single floats in the solver's copy
             solved: if job.light_field.is_some() { 2 * VIEW } else { VIEW + WRITTEN },
         }

@@ -129,14 +129,14 @@ fn trace_views(
             }
         }
     }
-    // A finished denoiser has removed the split views, so missing split views need no tracing.
-    let is_shared: Vec<bool> =
-        fields.iter().map(|field| kind == Denoise::Shared && denoise::is_finished(field, kind)).collect();
+    // Find once which light fields are filtered, since this reads all filtered views. A finished
+    // filter has removed the split views, so missing split views need no tracing.
+    let finished: Vec<bool> = fields.iter().map(|field| denoise::is_finished(field, kind)).collect();
     let is_kept = |Todo { field, path, variance, .. }: &Todo| {
         let FieldJob { geometry, settings, .. } = &fields[*field];
         let is_there = |path: &PathBuf| read_view(path, geometry).is_some();
         let traced = if kind == Denoise::Shared {
-            is_shared[*field] || read_split(path, geometry, settings).is_some()
+            finished[*field] || read_split(path, geometry, settings).is_some()
         } else {
             is_there(path)
         };
@@ -146,7 +146,7 @@ fn trace_views(
     let todo = missing(block.of(all), |todo| todo.path.clone(), is_kept, task);
     let splats = missing_splats(ingested, &fields, &views, block, task);
     let cached = todo.is_empty() && splats.iter().all(Vec::is_empty);
-    if !(cached && fields.iter().all(|field| denoise::is_finished(field, kind))) {
+    if !(cached && finished.iter().all(|finished| *finished)) {
         // Check the denoiser before the rendering, which may take hours.
         denoise::check(kind, job, shot.geometry)?;
     }
@@ -155,7 +155,10 @@ fn trace_views(
     let of_todo = todo.iter().map(|todo| todo.bytes(&fields[todo.field], kind));
     let of_splats =
         fields.iter().zip(&splats).map(|(field, views)| space::SPLATS * field.pixels() * views.len() as u64);
-    let unfiltered = || fields.iter().filter(|field| block == Block::ALL && !denoise::is_finished(field, kind));
+    let unfiltered = || {
+        let unfinished = fields.iter().zip(&finished).filter(|(_, finished)| !**finished && block == Block::ALL);
+        unfinished.map(|(field, _)| field)
+    };
     let of_filter = unfiltered().map(|field| denoise::missing_bytes(field, kind));
     let of_light = unfiltered().map(|field| denoise::shared_bytes(field, kind, job)).max();
     space::check(cache_dir, of_todo.chain(of_splats).chain(of_filter).chain(of_light).sum())?;

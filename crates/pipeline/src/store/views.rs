@@ -205,13 +205,18 @@ pub(crate) fn read_picture(path: &Path, size: [usize; 2]) -> Option<Vec<f32>> {
 type Seal = [u8; 32];
 
 fn split_seal(path: &Path, size: [usize; 2], packed: &[u8]) -> Seal {
-    let name = path.file_name().unwrap_or_default().as_encoded_bytes();
-    KeyBuilder::new("split", &[]).add("name", name).add_json("size", &size).add("values", packed).bytes()
+    key("split", path, size).add("values", packed).bytes()
 }
 
 fn seal(path: &Path, size: [usize; 2], rgb: &[f32]) -> String {
-    let name = path.file_name().unwrap_or_default().as_encoded_bytes();
-    KeyBuilder::new("view", &[]).add("name", name).add_json("size", &size).add_f32("rgb", rgb).finish()
+    key("view", path, size).add_f32("rgb", rgb).finish()
+}
+
+/// Begins the hash of a file's content with the file's name and the size of the view.
+fn key(kind: &str, path: &Path, size: [usize; 2]) -> KeyBuilder {
+    let mut key = KeyBuilder::new(kind, &[]);
+    key.add("name", path.file_name().unwrap_or_default().as_encoded_bytes()).add_json("size", &size);
+    key
 }
 
 #[cfg(test)]
