@@ -34,6 +34,7 @@ mod geometry;
 mod lambert;
 mod light;
 mod light16;
+mod light32;
 mod math;
 mod normals;
 mod primary;

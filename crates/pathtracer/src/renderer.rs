@@ -249,10 +249,12 @@ impl Renderer {
         task: Task<'_>,
     ) -> Result<Tensor<3>, RenderError> {
         let mean = |pixel: &PixelMean, _: &FirstSums| pixel.mean.to_array();
-        self.view_of::<false, 3>(window, geometry, view, settings, task, mean, rgb)
+        self.view_of::<false, 3>(window, geometry, view, settings, [settings.samples; 2], task, mean, rgb)
     }
 
     /// Computes `K` values for every pixel of a view by the function `values`: `[row][col][k]`.
+    /// With `count` = [paths, rays], each pixel has `rays` rays, of which the first `paths` continue
+    /// as paths.
     /// `radiance` extracts the radiance from the values of a pixel. `values` receives data of the
     /// paths' first surfaces only if `FIRST` is true.
     fn view_of<const FIRST: bool, const K: usize>(
@@ -261,17 +263,17 @@ impl Renderer {
         geometry: &FieldGeometry,
         view: [usize; 2],
         settings: &Settings,
+        count: [u32; 2],
         task: Task<'_>,
         values: impl Fn(&PixelMean, &FirstSums) -> [f32; K] + Sync,
         radiance: fn(&[f32]) -> [f32; 3],
     ) -> Result<Tensor<3>, RenderError> {
-        let samples = self.samples_of(window, geometry, view, settings)?;
+        let samples = self.samples_of(window, geometry, view, settings, count[1])?;
         let (lost, clamped) = (AtomicU64::new(0), Clamped::default());
         // With few samples per pixel, several pixels share a beam. Compared with a beam per pixel,
         // renders of still-life with 1, 2, 3 and 4 samples take 16, 9, 7 and 6 % less time.
-        let most = (BEAM / settings.samples as usize).max(1);
+        let most = (BEAM / count[1] as usize).max(1);
         let filled = self.by_groups(geometry, task, ["row", "col", "rgb"], most, |pixels, buffers, filled| {
-            let count = [settings.samples; 2];
             let seed = |at| samples.pixel_seed(at);
             self.pixels::<FIRST>(&samples, pixels, seed, count, settings, &clamped, buffers, |pixel, first| {
                 if pixel.not_finite > 0 {
@@ -357,17 +359,19 @@ impl Renderer {
         Ok(PrimaryRays::new(window, geometry, view, self.geometry.space, slope_width, round))
     }
 
-    /// Checks the settings, and prepares the samples of a view, `view` = [view_y, view_x].
+    /// Checks the settings, and prepares the samples of a view, `view` = [view_y, view_x]. A pixel
+    /// has at most `rays_per_pixel` rays.
     fn samples_of<'a>(
         &self,
         window: &Window,
         geometry: &'a FieldGeometry,
         view: [usize; 2],
         settings: &Settings,
+        rays_per_pixel: u32,
     ) -> Result<ViewSamples<'a>, RenderError> {
         settings.check()?;
         let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
-        Ok(ViewSamples::new(rays, DisplayAxes::new(window, self.geometry.space), view, settings, settings.samples))
+        Ok(ViewSamples::new(rays, DisplayAxes::new(window, self.geometry.space), view, settings, rays_per_pixel))
     }
 
     fn tracer(&self) -> Tracer<'_> {
@@ -714,7 +718,7 @@ mod tests {
             for count in [1, 3, 5, 8] {
                 let settings = Settings { samples: count, ..Settings::default() };
                 let together = renderer.render_view(&window, &geometry, [0, 0], &settings, task).unwrap();
-                let samples = renderer.samples_of(&window, &geometry, [0, 0], &settings).unwrap();
+                let samples = renderer.samples_of(&window, &geometry, [0, 0], &settings, count).unwrap();
                 let alone = renderer.by_groups(&geometry, task, ["row", "col", "rgb"], 1, |pixels, buffers, values| {
                     let (seed, clamped) = (|at| samples.pixel_seed(at), Clamped::default());
                     renderer.pixels::<false>(

@@ -7,6 +7,11 @@ use thiserror::Error;
 pub struct Settings {
     /// Paths per pixel and view, 1..=65536. Powers of two stratify best. Default 32.
     pub samples: u32,
+    /// Number of further rays per pixel of a [split view](crate::Renderer::render_split), 0..=65536.
+    /// They end at the first surface, so they cost a quarter of a path. They make edges and textures
+    /// sharper; the light of the surfaces comes from the paths. Functions that render no split view
+    /// ignore this setting. Default 0.
+    pub further_rays: u32,
     /// Gives further rays and paths to the noisy pixels of a [split
     /// view](crate::Renderer::render_split): at edges, in mirrored light and inside textures. This
     /// setting is for views that are seen one by one. Functions that render no split view ignore
@@ -67,12 +72,24 @@ impl Settings {
     pub(crate) fn has_further_paths(&self) -> bool {
         !cfg!(target_arch = "wasm32") && self.further_paths
     }
+
+    /// Returns true if some pixels of a split view have more rays than paths.
+    pub fn has_further_rays(&self) -> bool {
+        self.further_rays > 0 || self.has_further_paths()
+    }
+
+    /// Returns the number of paths and the number of all rays of a pixel of a split view. Pixels
+    /// with further paths have more.
+    pub(crate) fn rays(&self) -> [u32; 2] {
+        [self.samples, self.samples + self.further_rays]
+    }
 }
 
 impl Default for Settings {
     fn default() -> Self {
         Self {
             samples: 32,
+            further_rays: 0,
             further_paths: false,
             max_bounces: 8,
             roulette_start: 3,
@@ -98,6 +115,7 @@ impl Settings {
             }
         };
         check("samples", self.samples, 1..=65536, "1 to 65536")?;
+        check("further_rays", self.further_rays, 0..=65536, "0 to 65536")?;
         check("max_bounces", self.max_bounces, 0..=1024, "0 to 1024")?;
         check("roulette_start", self.roulette_start, 0..=1024, "0 to 1024")?;
         match self.clamp {

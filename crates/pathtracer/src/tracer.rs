@@ -152,11 +152,22 @@ pub(crate) struct First {
     pub(crate) diffuse: Vec3,
     /// Reflectance of the diffuse lobe.
     pub(crate) reflectance: Vec3,
+    pub(crate) gloss: Gloss,
     /// Position of the surface in render space.
     pub(crate) position: Vec3,
     /// Geometric normal of the surface on the viewer's side.
     pub(crate) normal: Vec3,
     pub(crate) guide: Guide,
+}
+
+/// The reflection of a surface that depends on the viewer's direction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Gloss {
+    /// Approximate reflectance at normal incidence.
+    pub(crate) reflectance: Vec3,
+    /// Squared roughness of the sharpest lobe: over this angle, the reflection stays about the
+    /// same. It is 0 for glass, at whose points other views see other light.
+    pub(crate) alpha: f32,
 }
 
 /// Properties of a surface by which a filter recognizes where light may differ.
@@ -359,7 +370,8 @@ impl Tracer<'_> {
         } else {
             let appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
             let bsdf = self.bsdf(&vertex, &appearance, -ray.direction);
-            vertex.first(bsdf.diffuse_reflectance(), Guide::new(&appearance, bsdf.normal()))
+            let first = vertex.first(bsdf.diffuse_reflectance(), Guide::new(&appearance, bsdf.normal()));
+            First { gloss: Gloss::new(&appearance), ..first }
         };
         if traits & EMISSIVE != 0 {
             let cosine = vertex.normal.dot(ray.direction);
@@ -460,6 +472,7 @@ impl Tracer<'_> {
             let bsdf = self.bsdf(&vertex, &appearance, -ray.direction);
             if is_first {
                 first[index] = vertex.first(bsdf.diffuse_reflectance(), Guide::new(&appearance, bsdf.normal()));
+                first[index].gloss = Gloss::new(&appearance);
             }
             Surface::General(bsdf)
         };
@@ -729,6 +742,27 @@ impl Guide {
 
     fn of_lambert(lambert: &Lambert) -> Self {
         Self { albedo: lambert.albedo(), normal: lambert.normal(), gloss: 0.0, alpha: 1.0 }
+    }
+}
+
+impl Gloss {
+    /// The gloss of a surface that only scatters by Lambert's law.
+    const NONE: Self = Self { reflectance: Vec3::ZERO, alpha: 1.0 };
+
+    fn new(appearance: &Appearance) -> Self {
+        let Appearance { base, metallic, roughness, transmission, extras, .. } = appearance;
+        let coat = extras.as_ref().and_then(|extras| extras.layers.coat).filter(|coat| coat.factor > 0.0);
+        let sharpest = coat.map_or(*roughness, |coat| coat.roughness.min(*roughness));
+        Self {
+            reflectance: Vec3::splat(DIELECTRIC_SHARE).lerp(*base, *metallic),
+            alpha: if *transmission > 0.0 { 0.0 } else { sharpest * sharpest },
+        }
+    }
+}
+
+impl Default for Gloss {
+    fn default() -> Self {
+        Self::NONE
     }
 }
 

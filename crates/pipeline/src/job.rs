@@ -325,6 +325,11 @@ impl Job {
         self.denoise_for(display) == Denoise::Shared && matches!(display.field.views, Views::Fixed(_))
     }
 
+    /// Returns the number of further rays of a pixel, see [`RenderJob::further_rays`].
+    pub(crate) fn further_rays(&self, display: &Display, samples: u32) -> u32 {
+        RenderJob::further_rays(display, self.denoise_for(display), samples)
+    }
+
     /// Returns true if Blender may render the views, which takes minutes per view.
     fn may_render_in_blender(&self) -> bool {
         let is_file = self.scene.as_deref().is_some_and(is_blend);

@@ -5,8 +5,8 @@ use lumistack_display::{Display, FieldGeometry, LightField, ViewGrid};
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{Settings as Paths, SplitView};
 use lumistack_shot::{
-    Brightest, Denoise, Depths, LightJob, LitScene, Placement, ToneMapping, WindowJob, coarser, place, put_before,
-    seeded, slopes,
+    Brightest, Denoise, Depths, LightJob, LitScene, Placement, RenderJob, ToneMapping, WindowJob, coarser, place,
+    put_before, seeded, slopes,
 };
 use lumistack_simd::{float_from_half, nearest_half};
 use lumistack_splats::Space;
@@ -109,15 +109,12 @@ impl Views {
         let coarse = coarser(&geometry, grid.clone(), geometry.cols.div_ceil(2));
         let count = geometry.grid.iter().count();
         let render = settings.render();
-        let paths = render.settings(
-            SEED,
-            render.samples_of_view(count),
-            false,
-            placement.depth_scale,
-            display.angular_footprint(),
-        );
+        let samples = render.samples_of_view(count);
+        let paths = render.settings(SEED, samples, false, placement.depth_scale, display.angular_footprint());
+        let denoise = if held.scene.needs_paths() { Settings::denoise(display) } else { Denoise::Off };
+        let paths = Paths { further_rays: RenderJob::further_rays(display, denoise, samples), ..paths };
         Ok(Self {
-            denoise: if held.scene.needs_paths() { Settings::denoise(display) } else { Denoise::Off },
+            denoise,
             held,
             placement,
             coarse: Traced::none(coarse),
@@ -201,8 +198,10 @@ impl Views {
     /// If there is no such view, or it has another number of values.
     pub(crate) fn keep_values(&mut self, number: usize, values: Vec<f32>) -> Result<(), Error> {
         let found = values.len();
-        let mut split =
-            Tensor::zeros(["row", "col", "part"], [self.geometry.rows, self.geometry.cols, SplitView::VALUES]);
+        let mut split = Tensor::zeros(
+            ["row", "col", "part"],
+            [self.geometry.rows, self.geometry.cols, SplitView::values_of(&self.paths)],
+        );
         match self.full.splits.get_mut(number) {
             Some(place) if split.data().len() == found => {
                 split.data_mut().copy_from_slice(&values);
@@ -259,7 +258,7 @@ impl Views {
         // averaged over the views.
         if splits.len() == numbers.len() {
             let shared = if self.denoise == Denoise::Shared {
-                let mut light = SharedLight::new(&traced);
+                let mut light = SharedLight::new(&traced, self.samples());
                 splits.iter().for_each(|split| light.add(split));
                 Some(light.averaged(task)?)
             } else {

@@ -1,45 +1,58 @@
-//! Light that does not depend on the view, averaged over all views that see the point from which
+//! Light that neighbouring views see alike, averaged over all views that see the point from which
 //! the light comes.
 //!
 //! ```text
-//! E = D / ρ_p                            of the first surface (see SplitView): view-independent
-//! E'(v, p) = Σ_u w E(u, p_u) / Σ_u w     over the views u of a row, then of a column
-//! L' = G + ρ_d E'
+//! E = D / ρ_p        D: light that the first surface scatters by Lambert's law (see SplitView)
+//! H = G / γ_p        G: other light; it changes slowly from view to view if the surface is rough
+//!
+//! E'(v, p) = Σ_u w ρ_p(u) E(u, p_u) / Σ_u w ρ_p(u)           over the views u of a row,
+//! H'(v, p) = Σ_u w k γ_p(u) H(u, p_u) / Σ_u w k γ_p(u)       then of a column
+//! L' = ρ_d E' + γ_d H'
 //! ```
 //!
-//! D is the light that the first surface scatters diffusely, and G all other light. The mean
-//! reflectance of the first surface is ρ_p over the pixel's paths, and ρ_d over all rays of the
-//! pixel. With [`Settings::further_paths`](crate::Settings::further_paths), pixels of textures have
-//! more rays than paths.
+//! The mean reflectance of the first surfaces is ρ_p over the pixel's paths, and ρ_d over all rays
+//! of the pixel. γ is the reflectance of the other lobes at normal incidence. With
+//! [`Settings::further_rays`](crate::Settings::further_rays), pixels have more rays than paths.
 //!
 //! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
-//! and s', a point at depth z moves by (s − s')·z. The weight w is ρ_p of view u, times a number
-//! from 0 to 1. This number is 1 if u sees the same surface at p_u. It falls to 0 with the distance
-//! of u's point from the plane of p's point, and is 0 if the normals differ too much. Light from
-//! dark surfaces is noisy once it is divided by ρ_p; with the factor ρ_p it contributes little.
-//! Nothing is averaged over neighbouring pixels, so shadows and textures stay sharp up to a pixel's
-//! rounding: E is read at the pixel nearest to p_u. G stays as rendered, and so does D where no
-//! other view sees the surface.
+//! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at
+//! p_u. It falls to 0 with the distance of u's point from the plane of p's point, and is 0 if the
+//! normals differ too much. Light from dark surfaces is noisy once it is divided by ρ_p; with the
+//! factor ρ_p it contributes little. Nothing is averaged over neighbouring pixels. But E is read at
+//! the pixel nearest to p_u, which blurs shadows and bumps over a fraction of a pixel. So w also
+//! falls with the distance of p_u from this pixel's centre. D and G stay as rendered where no other
+//! view sees the surface.
 //!
-//! So a point that hundreds of views see has the samples of all of them. Each step of an average
-//! costs one shift and one comparison. The averages over a row and then over a column of views take
-//! one step per view of that row and column. One average over all views would take one step per
-//! view of the grid.
+//! E is the same in all views. A lobe of the roughness √α spreads light over angles of about α
+//! around the mirrored direction. From view to view, this direction turns by |s − s'|. So
+//! k = exp(−n |s − s'|² / α²), approximately, averages H over angles that the lobe spreads anyway.
+//! With n = 1 path per pixel and view, the lobe becomes wider by about 6 %; with more paths, less is
+//! averaged. Mirrors and glass, with k = 0, keep their light as rendered.
 //!
-//! Further paths for noisy pixels improve views that are seen one by one. They do not help if the
-//! views are chosen for a display, since its solver averages the same noise over many views. The
-//! table is for 13 × 13 views of still-life with its own materials, 70 × 44 pixels. The variance in
-//! the table is the variance of the mean of all views, as a fraction of white squared.
+//! So a point that hundreds of views see has the diffuse samples of all of them. Each step of an
+//! average costs one shift and one comparison. The averages over a row and then over a column of
+//! views take one step per view of that row and column. One average over all views would take one
+//! step per view of the grid.
 //!
-//! | samples | further paths | CPU seconds | variance |
-//! |---|---|---|---|
-//! | 1 | no | 1.16 | 3.8e-4 |
-//! | 1 | yes | 2.19 | 1.5e-4 |
-//! | 2 | no | 1.79 | 1.5e-4 |
+//! README's job (`scenes/still-life/job.toml`), whose teapot is a rough metal, 13 × 13 views:
 //!
-//! The job `scenes/still-life/job.toml` confirms this. With further paths and 1 path per view it
-//! scored 26.2 dB after 72 s of rendering. Without them and with 2 paths per view it scored 26.0 dB
-//! in about 60 s.
+//! | paths | further rays | G | CPU seconds of rendering | score in the viewing zone |
+//! |---|---|---|---|---|
+//! | 1 | 0 | as rendered | 27 | 24.9 dB |
+//! | 1 | 1 | as rendered | 31 | 25.4 dB |
+//! | 2 | 0 | as rendered | 53 | 26.0 dB |
+//! | 1 | 0 | shared | 27 | 25.5 dB |
+//! | 1 | 1 | shared | 31 | 26.1 dB |
+//! | 1 | 2 | shared | 36 | 26.1 dB |
+//! | 2 | 0 | shared | 52 | 26.3 dB |
+//! | 9 | 0 | as rendered | 227 | 26.6 dB |
+//!
+//! Twice and four times the square of α in k gave the same score within 0.02 dB. FlightHelmet, whose
+//! metals have textures and bumps, scored 38.53 dB with 8 paths and G as rendered. It scored 38.48 dB
+//! with G shared, and 38.59 dB with the factor n and the weight of the distance from the pixel's
+//! centre. [Further paths](crate::Settings::further_paths) for noisy pixels improve views that are seen one by one.
+//! They do not help if the views are chosen for a display, since its solver averages the same noise
+//! over many views.
 
 use std::io;
 
@@ -50,7 +63,7 @@ use lumistack_display::{FieldGeometry, Projection};
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;
 
-use crate::{SplitView, light16};
+use crate::{SplitView, light32};
 
 /// Distance of one point from the plane of another point, in pixels, at which the weight has fallen
 /// to about a third.
@@ -61,56 +74,58 @@ const LEAST_COSINE: f32 = 0.8;
 /// be shared.
 const LEAST_REFLECTANCE: f32 = 0.02;
 
-/// Data of a pixel for the filter. It is kept small, 16 bytes, since the pixels of all views are in
+/// Largest α of the weight k. Rougher surfaces are less noisy, and an average over many views
+/// has a bias at the rim of the zone, where views on one side are missing.
+const MOST_ALPHA: f32 = 0.1;
+
+/// Data of a pixel for the filter. It is kept small, 20 bytes, since the pixels of all views are in
 /// memory or in a file together.
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {
     z_mm: f32,
-    /// E, which the top of the file defines, as codes of [`light16`]. In the first pass it comes
-    /// from the pixel's own samples. In the second pass it is the mean over the pixel's row of
-    /// views.
-    light: [u16; 3],
-    /// 1 if another view has contributed to E, otherwise 0.
-    is_shared: u16,
-    /// Unit normal, times [`UNIT`]; 0 if the surface does not scatter light by Lambert's law.
+    /// E and H, which the top of the file defines, as codes of [`light32`]. In the first pass they
+    /// come from the pixel's own samples. In the second pass they are the means over the pixel's
+    /// row of views.
+    light: [u32; 2],
+    /// Weights of E and H, times 255: the largest channels of the reflectances of the surfaces that
+    /// the paths hit.
+    weights: [u8; 2],
+    /// For E and H, 1 if another view has contributed, otherwise 0.
+    are_shared: [u8; 2],
+    /// Unit normal, times [`UNIT`]; 0 if no light of the surface can be shared.
     normal: [i8; 3],
-    /// Weight of E, times 255: the largest channel of the reflectance of the surfaces that the
-    /// paths hit.
-    weight: u8,
+    /// The square root of α, times 255.
+    roughness: u8,
 }
 
-// SAFETY: one float, four 16-bit numbers and four single bytes, without gaps
+// SAFETY: a float, two 32-bit numbers and eight single bytes, without gaps
 unsafe impl Plain for Point {}
 
-/// Mean of E over the views that see a point, as codes of [`light16`]. The first code is [`ALONE`]
-/// if no other view sees the point.
+/// Means of E and H over the views that see a point, as codes of [`light32`], or [`light32::NONE`]
+/// if no other view contributes.
 #[derive(Clone, Copy, Default)]
 #[repr(transparent)]
-struct Light([u16; 3]);
+struct Light([u32; 2]);
 
-// SAFETY: three 16-bit numbers, without gaps
+// SAFETY: two 32-bit numbers, without gaps
 unsafe impl Plain for Light {}
 
-/// First code of the light of a point that no other view sees.
-const ALONE: u16 = u16::MAX;
 /// Length of a unit normal in a [`Point`].
 const UNIT: f32 = 127.0;
 
 impl Light {
-    fn shared(rgb: Vec3) -> Self {
-        let [r, g, b] = rgb.to_array().map(light16::encode);
-        Self([r.min(ALONE - 1), g, b])
-    }
-
-    fn codes(self) -> Option<[u16; 3]> {
-        (self.0[0] != ALONE).then_some(self.0)
+    /// Returns the means of E and H, `None` if no other view contributes.
+    fn codes(self) -> [Option<u32>; 2] {
+        self.0.map(|code| (code != light32::NONE).then_some(code))
     }
 }
 
-/// Light that the views of a light field are to share. It takes 22 bytes for every ray.
+/// Light that the views of a light field are to share. It takes 28 bytes for every ray.
 pub struct SharedLight<'a> {
     geometry: &'a FieldGeometry,
+    /// Number of paths per pixel and view.
+    paths: u32,
     /// Number of views added.
     added: usize,
     /// Data of every pixel, `[view][row][col]`.
@@ -129,9 +144,9 @@ impl<'a> SharedLight<'a> {
     /// Number of bytes that a ray takes.
     pub const BYTES_PER_RAY: u64 = (size_of::<Point>() + size_of::<Light>()) as u64;
 
-    /// Starts without any view, in memory.
-    pub fn new(geometry: &'a FieldGeometry) -> Self {
-        Self { geometry, added: 0, points: Array::Held(Vec::new()), light: Array::Held(Vec::new()) }
+    /// Starts without any view, in memory. The views have about `paths` paths per pixel.
+    pub fn new(geometry: &'a FieldGeometry, paths: u32) -> Self {
+        Self { geometry, paths, added: 0, points: Array::Held(Vec::new()), light: Array::Held(Vec::new()) }
     }
 
     /// Starts without any view, in two arrays of a storage. While light is averaged, each thread
@@ -139,10 +154,10 @@ impl<'a> SharedLight<'a> {
     ///
     /// # Errors
     /// If the storage is full.
-    pub fn in_storage(geometry: &'a FieldGeometry, storage: &Storage) -> io::Result<Self> {
+    pub fn in_storage(geometry: &'a FieldGeometry, paths: u32, storage: &Storage) -> io::Result<Self> {
         let rays = geometry.grid.iter().count() * geometry.rows * geometry.cols;
         let (points, light) = (Array::zeros(rays, Some(storage))?, Array::zeros(rays, Some(storage))?);
-        Ok(Self { geometry, added: 0, points, light })
+        Ok(Self { geometry, paths, added: 0, points, light })
     }
 
     /// Adds the next view of the grid.
@@ -185,18 +200,21 @@ impl<'a> SharedLight<'a> {
         }
         let of_row = |index: usize| (0..view_cols).map(|x| index / view_cols * view_cols + x).collect::<Vec<usize>>();
         let of_col = |index: usize| (0..view_rows).map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>();
-        pass(self.geometry, &self.points, of_row, &mut self.light, task)?;
+        // k, the weight of H, as a function of roughness
+        let turns = turns(self.paths);
+        pass(self.geometry, &self.points, &turns, of_row, &mut self.light, task)?;
         let ((points, of_points), (light, of_light)) = (self.points.all_mut(), self.light.all());
         let cols = self.geometry.cols;
         let take = |(points, light): (&mut [Point], &[Light])| {
             announce(of_points, size_of_val(points));
             announce(of_light, size_of_val(light));
             for (point, light) in points.iter_mut().zip(light) {
-                if let Some(codes) = light.codes() {
-                    (point.light, point.is_shared) = (codes, 1);
+                for (kind, code) in light.codes().into_iter().enumerate() {
+                    let Some(code) = code else { continue };
+                    (point.light[kind], point.are_shared[kind]) = (code, 1);
                     // If the pixel's own paths missed the surface, the pixel now has light from
                     // other views of the same row. So its weight must not be 0.
-                    point.weight = point.weight.max(1);
+                    point.weights[kind] = point.weights[kind].max(1);
                 }
             }
         };
@@ -204,23 +222,25 @@ impl<'a> SharedLight<'a> {
         points.par_chunks_mut(cols).zip(light.par_chunks(cols)).for_each(take);
         #[cfg(not(feature = "parallel"))]
         points.chunks_mut(cols).zip(light.chunks(cols)).for_each(take);
-        pass(self.geometry, &self.points, of_col, &mut self.light, task)?;
+        pass(self.geometry, &self.points, &turns, of_col, &mut self.light, task)?;
         Ok(MeanLight { light: self.light })
     }
 }
 
 impl MeanLight {
     /// Returns the view of this number in the grid as radiance `[row][col][rgb]`. Where other views
-    /// contributed to the mean light, it replaces the diffuse light of the view itself.
+    /// contributed to the mean light, it replaces the light of the view itself.
     pub fn on(&self, number: usize, view: &SplitView) -> Tensor<3> {
         let [rows, cols] = view.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
         let light = self.light.part(number * rows * cols..(number + 1) * rows * cols);
         for (i, (rgb, light)) in radiance.data_mut().chunks_exact_mut(3).zip(light).enumerate() {
             let pixel = view.at(i / cols, i % cols);
-            let shared = |codes: [u16; 3]| divisor(pixel.reflectance) * Vec3::from_array(codes.map(light16::decode));
-            let diffuse = light.codes().map_or(pixel.diffuse, shared);
-            rgb.copy_from_slice(&(pixel.other + diffuse).to_array());
+            let [diffuse, other] = light.codes();
+            let shared = |reflectance: Vec3, code| divisor(reflectance) * Vec3::from_array(light32::decode(code));
+            let diffuse = diffuse.map_or(pixel.diffuse, |code| shared(pixel.reflectance, code));
+            let other = other.map_or(pixel.other, |code| shared(pixel.gloss, code));
+            rgb.copy_from_slice(&(diffuse + other).to_array());
         }
         radiance
     }
@@ -233,16 +253,19 @@ fn announce(window: Option<&Window>, bytes: usize) {
 impl Point {
     fn of(view: &SplitView, row: usize, col: usize) -> Self {
         let pixel = view.at(row, col);
-        let is_lit = pixel.reflectance.max_element() > 0.0;
-        let normal = if is_lit { pixel.normal } else { Vec3::ZERO };
-        let light = pixel.diffuse / divisor(pixel.path_reflectance);
+        let alpha = if pixel.gloss == Vec3::ZERO { 0.0 } else { pixel.alpha };
+        let can_share = pixel.reflectance != Vec3::ZERO || alpha > 0.0;
+        let normal = if can_share { pixel.normal } else { Vec3::ZERO };
+        let code = |light: Vec3, reflectance| light32::encode((light / divisor(reflectance)).to_array());
+        // the casts saturate
+        let weight = |reflectance: Vec3| (255.0 * reflectance.max_element()).ceil() as u8;
         Self {
             z_mm: pixel.z_mm,
-            light: light.to_array().map(light16::encode),
-            is_shared: 0,
+            light: [code(pixel.diffuse, pixel.path_reflectance), code(pixel.other, pixel.path_gloss)],
+            weights: [weight(pixel.path_reflectance), weight(pixel.path_gloss)],
+            are_shared: [0; 2],
             normal: normal.to_array().map(|n| (UNIT * n).round() as i8),
-            // the cast saturates
-            weight: (255.0 * pixel.path_reflectance.max_element()).ceil() as u8,
+            roughness: (255.0 * alpha.sqrt()) as u8,
         }
     }
 }
@@ -259,6 +282,16 @@ struct Own {
     /// to the distance at which the weight is 0.
     slant: f32,
     normal: [i32; 3],
+    /// The factor of |s − s'|² at the pixel's roughness, from [`turns`].
+    turn: f32,
+}
+
+/// Returns n / (4 α²) of the weight k for every value of [`Point::roughness`]; infinite for mirrors.
+fn turns(paths: u32) -> [f32; 256] {
+    std::array::from_fn(|roughness| {
+        let alpha = (roughness as f32 / 255.0).powi(2).min(MOST_ALPHA);
+        0.25 * paths as f32 / (alpha * alpha)
+    })
 }
 
 fn divisor(reflectance: Vec3) -> Vec3 {
@@ -270,6 +303,7 @@ fn divisor(reflectance: Vec3) -> Vec3 {
 fn pass(
     geometry: &FieldGeometry,
     points: &Array<Point>,
+    turns: &[f32; 256],
     partners: impl Fn(usize) -> Vec<usize> + Sync,
     light: &mut Array<Light>,
     task: Task<'_>,
@@ -279,10 +313,10 @@ fn pass(
         task.cancel.check()?;
         announce(of_light, size_of_val(light));
         match points.all() {
-            (points, None) => of_view(geometry, points, &|_| {}, index, &partners(index), light),
+            (points, None) => of_view(geometry, points, turns, &|_| {}, index, &partners(index), light),
             (points, Some(window)) => {
                 let announce = |points: usize| window.announce(points * size_of::<Point>());
-                of_view(geometry, points, &announce, index, &partners(index), light);
+                of_view(geometry, points, turns, &announce, index, &partners(index), light);
             }
         }
         task.progress.advance(1, "");
@@ -300,6 +334,7 @@ fn pass(
 fn of_view(
     geometry: &FieldGeometry,
     points: &[Point],
+    turns: &[f32; 256],
     announce: &impl Fn(usize),
     index: usize,
     partners: &[usize],
@@ -316,19 +351,17 @@ fn of_view(
     // the smallest product of two normals at which the surfaces are treated as equal
     let least_product = (LEAST_COSINE * UNIT * UNIT).ceil() as i32;
     let mut lit: Vec<Own> = Vec::with_capacity(cols);
-    // sums of the weighted light, and of the weights
-    let mut sums = vec![[0.0f32; 4]; cols];
-    let mut shared = vec![false; cols];
+    // sums of the weighted E and H, and of the weights
+    let mut sums = vec![[[0.0f32; 4]; 2]; cols];
+    let mut shared = vec![[false; 2]; cols];
     for (row, light) in light.chunks_exact_mut(cols).enumerate() {
         let line = &own[row * cols..][..cols];
         announce(cols);
         lit.clear();
         for (col, point) in line.iter().enumerate() {
             // begin with the view's own light
-            let weight = f32::from(point.weight);
-            let [r, g, b] = point.light.map(light16::decode);
-            sums[col] = [weight * r, weight * g, weight * b, weight];
-            shared[col] = point.is_shared != 0;
+            sums[col] = [0, 1].map(|kind| weighted(f32::from(point.weights[kind]), point.light[kind]));
+            shared[col] = point.are_shared.map(|shared| shared != 0);
             if point.normal == [0; 3] {
                 continue;
             }
@@ -340,12 +373,14 @@ fn of_view(
                 Projection::Perspective { distance_mm } => point.z_mm / (1.0 - point.z_mm / distance_mm as f32),
             };
             let normal = point.normal.map(i32::from);
-            lit.push(Own { col, z_mm: point.z_mm, depth, slant: slant * normal[2] as f32, normal });
+            let turn = turns[usize::from(point.roughness)];
+            lit.push(Own { col, z_mm: point.z_mm, depth, slant: slant * normal[2] as f32, normal, turn });
         }
         for &other in partners.iter().filter(|other| **other != index) {
             // add the light of every other view that sees the same point
-            let turn = (slope_of(index) - slope_of(other)) / pitch;
-            let (turn_x, turn_y) = (turn.x as f32, turn.y as f32);
+            let turn = slope_of(index) - slope_of(other);
+            let (turn_x, turn_y) = ((turn.x / pitch) as f32, (turn.y / pitch) as f32);
+            let turn_squared = turn.length_squared() as f32;
             let seen = of_view(other);
             let (mut first, mut last) = (usize::MAX, 0);
             for point in &lit {
@@ -356,7 +391,8 @@ fn of_view(
                 if !(x >= 0.0 && y >= 0.0 && x < cols_f && y < rows_f) {
                     continue;
                 }
-                let at = y as i32 as usize * cols + x as i32 as usize;
+                let (whole_x, whole_y) = (x as i32, y as i32);
+                let at = whole_y as usize * cols + whole_x as usize;
                 (first, last) = (first.min(at), last.max(at));
                 let there = &seen[at];
                 let [nx, ny, nz] = there.normal.map(i32::from);
@@ -367,16 +403,38 @@ fn of_view(
                 // pixels. So they differ only in depth.
                 let off = point.slant * (there.z_mm - point.z_mm);
                 let nearness = (1.0 - off * off).max(0.0);
-                let weight = (nearness * nearness) * (nearness * nearness) * f32::from(there.weight);
-                let [r, g, b] = there.light.map(light16::decode);
-                let sum = &mut sums[point.col];
-                *sum = [sum[0] + weight * r, sum[1] + weight * g, sum[2] + weight * b, sum[3] + weight];
-                shared[point.col] |= weight > 0.0;
+                // distance from the centre of the pixel that is read, 1 at the pixel's edges
+                let (aside_x, aside_y) = (2.0 * (x - whole_x as f32) - 1.0, 2.0 * (y - whole_y as f32) - 1.0);
+                let central = (1.0 - aside_x * aside_x) * (1.0 - aside_y * aside_y);
+                let same = central * (nearness * nearness) * (nearness * nearness);
+                let (sums, shared) = (&mut sums[point.col], &mut shared[point.col]);
+                let mut add = |kind: usize, weight: f32| {
+                    let weight = weight * f32::from(there.weights[kind]);
+                    let more = weighted(weight, there.light[kind]);
+                    sums[kind].iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+                    shared[kind] |= weight > 0.0;
+                };
+                add(0, same);
+                // the curve of k is close to exp(−x), and 0 from x = 4 on
+                if turn_squared * point.turn < 1.0 {
+                    let alike = (1.0 - turn_squared * point.turn.max(turns[usize::from(there.roughness)])).max(0.0);
+                    add(1, same * (alike * alike) * (alike * alike));
+                }
             }
             announce((last + 1).saturating_sub(first));
         }
-        for ((light, [r, g, b, weight]), is_shared) in light.iter_mut().zip(&sums).zip(&shared) {
-            *light = if *is_shared { Light::shared(Vec3::new(*r, *g, *b) / *weight) } else { Light([ALONE, 0, 0]) };
+        for ((light, sums), shared) in light.iter_mut().zip(&sums).zip(&shared) {
+            light.0 = [0, 1].map(|kind| {
+                let [r, g, b, weight] = sums[kind];
+                if shared[kind] { light32::encode([r, g, b].map(|sum| sum / weight)) } else { light32::NONE }
+            });
         }
     }
+}
+
+/// Returns light times its weight, then the weight.
+#[inline]
+fn weighted(weight: f32, code: u32) -> [f32; 4] {
+    let [r, g, b] = light32::decode(code);
+    [weight * r, weight * g, weight * b, weight]
 }

@@ -53,7 +53,7 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<Checks, RenderError> {
-        let samples = self.samples_of(window, geometry, view, settings)?;
+        let samples = self.samples_of(window, geometry, view, settings, settings.samples)?;
         let of_view = |stream: u64| seed::derive(settings.seed, &[stream, view[0] as u64, view[1] as u64]);
         let (places, radiance) = (of_view(PLACES), of_view(RADIANCE));
         let clamped = Clamped::default();

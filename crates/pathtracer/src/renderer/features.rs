@@ -132,7 +132,8 @@ impl Renderer {
             values[6..].copy_from_slice(&first.features(settings.samples));
             values
         };
-        let all = self.view_of::<true, { 6 + FEATURES }>(window, geometry, view, settings, task, all, rgb)?;
+        let count = [settings.samples; 2];
+        let all = self.view_of::<true, { 6 + FEATURES }>(window, geometry, view, settings, count, task, all, rgb)?;
         let [radiance, variance, values] = ranges(&all, [("rgb", 3), ("rgb", 3), ("feature", FEATURES)]);
         Ok(GuidedView { radiance, variance, features: Features { values } })
     }
@@ -151,7 +152,7 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<Features, RenderError> {
-        let samples = self.samples_of(window, geometry, view, settings)?;
+        let samples = self.samples_of(window, geometry, view, settings, settings.samples)?;
         let (quiet, tracer) = (Task { progress: &NoProgress, ..task }, self.tracer());
         let values = self.by_tiles(geometry, quiet, ["row", "col", "feature"], |row, col, stack| {
             let mut sums = FirstSums::default();

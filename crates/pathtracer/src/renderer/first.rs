@@ -9,10 +9,12 @@ use crate::tracer::First;
 /// Number of values per pixel of the guides.
 pub(crate) const FEATURES: usize = 11;
 /// Number of values per pixel of a view whose diffuse and other light are separate.
-pub(super) const PARTS: usize = 13;
+pub(super) const PARTS: usize = 17;
 /// Number of values per pixel if some rays end at the first surface: the values of [`PARTS`], then
-/// the reflectance over the paths alone.
-pub(super) const MORE_PARTS: usize = PARTS + 3;
+/// both reflectances over the paths alone.
+pub(super) const MORE_PARTS: usize = PARTS + 6;
+/// Index of the smallest α of a pixel's rays among the pixel's values.
+pub(super) const ALPHA: usize = PARTS - 1;
 /// Number of values of [`FirstSums::apart`]: the values of [`MORE_PARTS`], then the light that the
 /// rays themselves see. The values of [`MORE_PARTS`] then lack this light.
 pub(super) const APART: usize = MORE_PARTS + 3;
@@ -52,6 +54,10 @@ pub(super) struct FirstSums {
     normal: Vec3,
     /// Sum of the reflectances of the diffuse lobe.
     reflectance: Vec3,
+    /// Sum of the reflectances of the lobes that depend on the viewer's direction.
+    glossy: Vec3,
+    /// 1 minus the smallest α of the rays' [`Gloss`](crate::tracer::Gloss).
+    sharpness: f32,
     /// This sum and the next three are the sums of the guides' values.
     albedo: Vec3,
     shading: Vec3,
@@ -68,6 +74,8 @@ pub(super) struct FirstSums {
     path_seen: Vec3,
     /// The sum `reflectance` over the rays that continue as paths.
     path_reflectance: Vec3,
+    /// The sum `glossy` over the rays that continue as paths.
+    path_glossy: Vec3,
 }
 
 impl FirstSums {
@@ -81,11 +89,15 @@ impl FirstSums {
             self.nearest = Some((distance, z_mm));
         }
         self.seen += first.seen;
+        // light that a ray itself sees is part of the light that other views do not share
+        let alpha = if first.seen == Vec3::ZERO { first.gloss.alpha } else { 0.0 };
+        self.sharpness = self.sharpness.max(1.0 - alpha);
         let Some(z_mm) = z_mm else { return };
         self.hits += 1;
         self.z_mm += z_mm;
         self.normal += first.normal;
         self.reflectance += first.reflectance;
+        self.glossy += first.gloss.reflectance;
         self.albedo += first.guide.albedo;
         self.shading += first.guide.normal;
         self.gloss += first.guide.gloss;
@@ -97,6 +109,7 @@ impl FirstSums {
     pub(super) fn add_path(&mut self, first: &First) {
         self.path_seen += first.seen;
         self.path_reflectance += first.reflectance;
+        self.path_glossy += first.gloss.reflectance;
     }
 
     /// Adds light that is scattered alike to all viewers.
@@ -136,17 +149,20 @@ impl FirstSums {
         values[6..9].copy_from_slice(&(self.reflectance / rays as f32).to_array());
         values[9..12].copy_from_slice(&(share * self.normal).to_array());
         values[12] = share * self.z_mm;
+        values[13..16].copy_from_slice(&(self.glossy / rays as f32).to_array());
+        values[ALPHA] = 1.0 - self.sharpness;
         values
     }
 
-    /// Returns the values of [`split`](Self::split), then the reflectance over the paths alone,
+    /// Returns the values of [`split`](Self::split), then both reflectances over the paths alone,
     /// then the light that all rays themselves see. The values of `split` lack this last light. The
     /// first `paths` of the `rays` continue as paths.
     pub(super) fn apart(&self, mean: Vec3, finite: u32, [paths, rays]: [u32; 2]) -> [f32; APART] {
         let of_paths = 1.0 / paths.max(1) as f32;
         let mut values = [0.0; APART];
         values[..PARTS].copy_from_slice(&self.split(mean - of_paths * self.path_seen, finite, rays));
-        values[PARTS..MORE_PARTS].copy_from_slice(&(of_paths * self.path_reflectance).to_array());
+        values[PARTS..PARTS + 3].copy_from_slice(&(of_paths * self.path_reflectance).to_array());
+        values[PARTS + 3..MORE_PARTS].copy_from_slice(&(of_paths * self.path_glossy).to_array());
         values[MORE_PARTS..].copy_from_slice(&(self.seen / rays as f32).to_array());
         values
     }

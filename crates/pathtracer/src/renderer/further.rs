@@ -33,7 +33,7 @@ use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
 use super::beams::ViewSamples;
-use super::first::{APART, DisplayAxes, MORE_PARTS};
+use super::first::{ALPHA, APART, DisplayAxes, MORE_PARTS, PARTS};
 use super::{RenderError, Renderer};
 use crate::clamp::Clamped;
 use crate::settings::Settings;
@@ -96,6 +96,9 @@ impl Renderer {
         // choose the pixels that get further rays
         let cols = values.shape()[1];
         let mut joined = joined::<MORE_PARTS>(values);
+        if !settings.has_further_paths() {
+            return Ok(joined);
+        }
         let further = further(&joined, geometry.pitch_mm as f32, settings.samples);
         let most = further.iter().map(|further| further.rays).max().unwrap_or(0);
         if most == 0 {
@@ -123,14 +126,14 @@ impl Renderer {
             more.push(values);
         })?;
         // join the values of both sets of rays, weighted by their numbers
-        let own_samples = settings.samples as f32;
+        let [own_samples, own_rays] = settings.rays().map(|count| count as f32);
         let own = values.data().chunks_exact(APART);
         let pixels = joined.data_mut().chunks_exact_mut(MORE_PARTS).zip(own).zip(more.data().chunks_exact(APART + 3));
         for (number, ((joined, own), more)) in pixels.enumerate().filter(|(number, _)| further[*number].rays > 0) {
             let Further { paths, rays } = further[number];
             let (paths, rays) = (paths as f32, rays as f32);
             // fractions of the further paths among all paths, and among all rays
-            let (of_paths, of_rays) = (paths / (paths + own_samples), rays / (rays + own_samples));
+            let (of_paths, of_rays) = (paths / (paths + own_samples), rays / (rays + own_rays));
             let surface = |values: &[f32]| values[9..12].iter().any(|normal| *normal != 0.0);
             let of_surface = match [surface(own), surface(more)] {
                 [true, true] => of_rays,
@@ -139,8 +142,9 @@ impl Renderer {
             let mut mean = [0.0; APART];
             for (index, ((mean, own), more)) in mean.iter_mut().zip(own).zip(more).enumerate() {
                 let share = match index {
-                    0..6 | 13..16 => of_paths,
+                    0..6 | PARTS..MORE_PARTS => of_paths,
                     9..13 => of_surface,
+                    ALPHA => f32::from(u8::from(more < own)),
                     _ => of_rays,
                 };
                 *mean = own + share * (more - own);

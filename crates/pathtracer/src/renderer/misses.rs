@@ -22,7 +22,7 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<Tensor<2>, RenderError> {
-        let samples = self.samples_of(window, geometry, view, settings)?;
+        let samples = self.samples_of(window, geometry, view, settings, settings.samples)?;
         let (quiet, tracer) = (Task { progress: &NoProgress, ..task }, self.tracer());
         let shares = self.by_tiles(geometry, quiet, ["row", "col", "missed"], |row, col, stack| {
             let mut missed = 0;

@@ -17,7 +17,7 @@ use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
 use super::features::Features;
-use super::first::{APART, FEATURES, FirstSums, MORE_PARTS, PARTS};
+use super::first::{ALPHA, APART, FEATURES, FirstSums, MORE_PARTS, PARTS};
 use super::{PixelMean, RenderError, Renderer, further, ranges};
 use crate::light16;
 use crate::settings::Settings;
@@ -27,11 +27,14 @@ use crate::settings::Settings;
 /// over the samples that hit a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplitView {
-    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm]`. The normal is in
-    /// display space, and z_mm is the depth in display space towards the viewer. Both are 0 if no
-    /// surface is seen. With [further paths](Settings::further_paths) a second reflectance rgb
-    /// follows. The first reflectance is a mean over all rays of the pixel, the second one a mean
-    /// over the rays that continue as paths.
+    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm, gloss rgb, alpha]`.
+    /// The normal is in display space, and z_mm is the depth in display space towards the viewer.
+    /// Both are 0 if no surface is seen. The reflectance is that of the diffuse lobe, the gloss
+    /// that of all other lobes at normal incidence. The squared roughness of the sharpest lobe is
+    /// alpha; it is 0 if the pixel shows glass or light that a ray itself sees. With [further
+    /// rays](Settings::has_further_rays) a second reflectance rgb and a second gloss rgb follow.
+    /// The first ones are means over all rays of the pixel, the second ones means over the rays
+    /// that continue as paths.
     values: Tensor<3>,
 }
 
@@ -59,27 +62,55 @@ pub(crate) struct SplitPixel {
     pub(crate) path_reflectance: Vec3,
     pub(crate) normal: Vec3,
     pub(crate) z_mm: f32,
+    /// Mean reflectance, at normal incidence, of the lobes that depend on the viewer's direction.
+    pub(crate) gloss: Vec3,
+    /// Mean of the same reflectance over the surfaces that the paths hit first.
+    pub(crate) path_gloss: Vec3,
+    /// Squared roughness of the sharpest lobe; 0 if other views see other light at the same point.
+    pub(crate) alpha: f32,
 }
 
-/// Index of a pixel's normal among its values. The values before it are light and reflectance.
+/// Index of a pixel's reflectance among its values. The values before it are light.
+const REFLECTANCE: usize = 6;
+/// Index of a pixel's normal among its values.
 const NORMAL: usize = 9;
-/// Number of bytes of a packed normal and depth.
-const NORMAL_AND_Z: usize = 3 + size_of::<f32>();
+/// Index of a pixel's depth among its values.
+const Z: usize = 12;
+/// Index of a pixel's glossy reflectance among its values.
+const GLOSS: usize = 13;
 /// Number of steps between 0 and 1 of a packed normal's components.
 const NORMAL_STEPS: f32 = 127.0;
 
-/// Returns the number of bytes of a packed pixel with this number of values.
+/// Returns the number of bytes of a packed pixel with this number of values: light takes two bytes
+/// per value, depth four, and all others one.
 fn bytes_of(parts: usize) -> usize {
-    size_of::<u16>() * (parts - (PARTS - NORMAL)) + NORMAL_AND_Z
+    parts + REFLECTANCE + (size_of::<f32>() - 1)
+}
+
+/// Returns the indices of the values that take one byte.
+fn parts_in_bytes(parts: usize) -> impl Iterator<Item = usize> {
+    (REFLECTANCE..Z).chain(Z + 1..parts)
+}
+
+/// Packs a fraction 0..1 in a byte: its square root times 255. Small fractions thus have smaller
+/// steps than large ones, as in pictures of 8 bits.
+fn packed_fraction(value: f32) -> u8 {
+    // the cast saturates
+    (255.0 * value.max(0.0).sqrt()).round() as u8
+}
+
+fn fraction(packed: u8) -> f32 {
+    let root = f32::from(packed) / 255.0;
+    root * root
 }
 
 impl SplitView {
-    /// Number of values per pixel without [further paths](Settings::further_paths).
+    /// Number of values per pixel without [further rays](Settings::has_further_rays).
     pub const VALUES: usize = PARTS;
 
     /// Returns the number of values per pixel of views with these settings.
     pub fn values_of(settings: &Settings) -> usize {
-        if settings.has_further_paths() { MORE_PARTS } else { PARTS }
+        if settings.has_further_rays() { MORE_PARTS } else { PARTS }
     }
 
     /// Makes a view from the tensor that [`values`](Self::values) returns; `None` if the tensor has
@@ -88,32 +119,37 @@ impl SplitView {
         [PARTS, MORE_PARTS].contains(&values.shape()[2]).then_some(Self { values })
     }
 
-    /// Returns `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`. Light is
-    /// radiance, normals are in display space, z is in millimetres. With [further
-    /// paths](Settings::further_paths) a second reflectance rgb follows. Like the diffuse light, it
-    /// is a mean over the paths alone.
+    /// Returns `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm, gloss rgb,
+    /// alpha]`. Light is radiance, normals are in display space, z is in millimetres. The gloss is
+    /// the reflectance of the lobes that depend on the viewer's direction, and alpha the squared
+    /// roughness of the sharpest of them (0 for glass and for light that rays themselves see). With
+    /// [further rays](Settings::has_further_rays) a second reflectance rgb and a second gloss rgb
+    /// follow. Like the light, they are means over the paths alone.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
 
     /// Returns the values in few bytes for a file: [`packed_bytes`](Self::packed_bytes) per pixel.
-    /// Light and reflectance have a relative error of at most 2⁻¹¹ (negative values become 0), and
-    /// the components of normals an error of at most 1/254.
+    /// Light has a relative error of at most 2⁻¹¹ (negative values become 0). The square roots of
+    /// reflectances and of alpha have an error of at most 1/510 (values above 1 become 1), and the
+    /// components of normals an error of at most 1/254.
     pub fn to_bytes(&self) -> Vec<u8> {
         let [rows, cols, parts] = self.values.shape();
         let size = bytes_of(parts);
         let mut bytes = vec![0; rows * cols * size];
         for (packed, values) in bytes.chunks_exact_mut(size).zip(self.pixels()) {
-            let (fixed, path_reflectance) = values.split_at(PARTS);
-            let (places, rest) = packed.split_at_mut(size - NORMAL_AND_Z);
-            let colours = fixed[..NORMAL].iter().chain(path_reflectance);
-            for (place, value) in places.as_chunks_mut().0.iter_mut().zip(colours) {
+            let (light, rest) = packed.split_at_mut(2 * REFLECTANCE);
+            let (z, rest) = rest.split_at_mut(size_of::<f32>());
+            for (place, value) in light.as_chunks_mut().0.iter_mut().zip(values) {
                 *place = light16::encode(*value).to_le_bytes();
             }
-            for (place, n) in rest.iter_mut().zip(&fixed[NORMAL..]).take(3) {
-                *place = (NORMAL_STEPS * n).round() as i8 as u8;
+            z.copy_from_slice(&values[Z].to_le_bytes());
+            for (place, part) in rest.iter_mut().zip(parts_in_bytes(parts)) {
+                *place = match part {
+                    NORMAL..Z => (NORMAL_STEPS * values[part]).round() as i8 as u8,
+                    _ => packed_fraction(values[part]),
+                };
             }
-            rest[3..].copy_from_slice(&fixed[PARTS - 1].to_le_bytes());
         }
         bytes
     }
@@ -128,16 +164,18 @@ impl SplitView {
         }
         let mut values = Tensor::zeros(["row", "col", "part"], [rows, cols, parts]);
         for (values, packed) in values.data_mut().chunks_exact_mut(parts).zip(bytes.chunks_exact(size)) {
-            let (fixed, path_reflectance) = values.split_at_mut(PARTS);
-            let (places, rest) = packed.split_at(size - NORMAL_AND_Z);
-            let colours = fixed[..NORMAL].iter_mut().chain(path_reflectance);
-            for (value, place) in colours.zip(places.as_chunks().0) {
+            let (light, rest) = packed.split_at(2 * REFLECTANCE);
+            let (z, rest) = rest.split_at(size_of::<f32>());
+            for (value, place) in values.iter_mut().zip(light.as_chunks().0) {
                 *value = light16::decode(u16::from_le_bytes(*place));
             }
-            for (n, place) in fixed[NORMAL..].iter_mut().zip(&rest[..3]) {
-                *n = f32::from(*place as i8) / NORMAL_STEPS;
+            values[Z] = f32::from_le_bytes(z.try_into().ok()?);
+            for (place, part) in rest.iter().zip(parts_in_bytes(parts)) {
+                values[part] = match part {
+                    NORMAL..Z => f32::from(*place as i8) / NORMAL_STEPS,
+                    _ => fraction(*place),
+                };
             }
-            fixed[PARTS - 1] = f32::from_le_bytes(rest[3..].try_into().ok()?);
         }
         Some(Self { values })
     }
@@ -175,21 +213,26 @@ impl SplitView {
     pub(crate) fn at(&self, row: usize, col: usize) -> SplitPixel {
         let v = self.values.block([row, col]);
         let vector = |first: usize| Vec3::from_slice(&v[first..first + 3]);
+        let has_paths = v.len() == MORE_PARTS;
         SplitPixel {
             diffuse: vector(0),
             other: vector(3),
             reflectance: vector(6),
-            path_reflectance: vector(if v.len() == MORE_PARTS { PARTS } else { 6 }),
+            path_reflectance: vector(if has_paths { PARTS } else { 6 }),
             normal: vector(9),
             z_mm: v[12],
+            gloss: vector(GLOSS),
+            path_gloss: vector(if has_paths { PARTS + 3 } else { GLOSS }),
+            alpha: v[ALPHA],
         }
     }
 }
 
 impl Renderer {
     /// Renders one view with its diffuse and other light separate. The samples are the samples of
-    /// [`render_view`](Self::render_view) with the same settings, and the [further
-    /// paths](Settings::further_paths). Advances the progress as `render_view` does.
+    /// [`render_view`](Self::render_view) with the same settings, the [further
+    /// rays](Settings::further_rays) and the [further paths](Settings::further_paths). Advances the
+    /// progress as `render_view` does.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).
@@ -202,14 +245,16 @@ impl Renderer {
         task: Task<'_>,
     ) -> Result<SplitView, RenderError> {
         let finite = |pixel: &PixelMean| settings.samples - pixel.not_finite;
-        let values = if settings.has_further_paths() {
-            let apart =
-                |pixel: &PixelMean, first: &FirstSums| first.apart(pixel.mean, finite(pixel), [settings.samples; 2]);
-            let values = self.view_of::<true, APART>(window, geometry, view, settings, task, apart, all_parts)?;
+        let values = if settings.has_further_rays() {
+            let count = settings.rays();
+            let apart = |pixel: &PixelMean, first: &FirstSums| first.apart(pixel.mean, finite(pixel), count);
+            let values =
+                self.view_of::<true, APART>(window, geometry, view, settings, count, task, apart, all_parts)?;
             self.with_further_paths(window, geometry, view, settings, task, &values, None)?
         } else {
+            let count = [settings.samples; 2];
             let split = |pixel: &PixelMean, first: &FirstSums| first.split(pixel.mean, finite(pixel), settings.samples);
-            self.view_of::<true, PARTS>(window, geometry, view, settings, task, split, both_parts)?
+            self.view_of::<true, PARTS>(window, geometry, view, settings, count, task, split, both_parts)?
         };
         Ok(SplitView { values })
     }
@@ -229,22 +274,23 @@ impl Renderer {
         task: Task<'_>,
     ) -> Result<GuidedSplit, RenderError> {
         const VARIANCE: usize = APART + 3;
+        let count = settings.rays();
         let all = |pixel: &PixelMean, first: &FirstSums| {
             let finite = settings.samples - pixel.not_finite;
             let mut values = [0.0; VARIANCE + FEATURES];
-            if settings.has_further_paths() {
-                values[..APART].copy_from_slice(&first.apart(pixel.mean, finite, [settings.samples; 2]));
+            if settings.has_further_rays() {
+                values[..APART].copy_from_slice(&first.apart(pixel.mean, finite, count));
             } else {
                 values[..PARTS].copy_from_slice(&first.split(pixel.mean, finite, settings.samples));
             }
             values[APART..VARIANCE].copy_from_slice(&pixel.variance.to_array());
-            values[VARIANCE..].copy_from_slice(&first.features(settings.samples));
+            values[VARIANCE..].copy_from_slice(&first.features(count[1]));
             values
         };
-        let all =
-            self.view_of::<true, { VARIANCE + FEATURES }>(window, geometry, view, settings, task, all, all_parts)?;
+        let all = self
+            .view_of::<true, { VARIANCE + FEATURES }>(window, geometry, view, settings, count, task, all, all_parts)?;
         let [apart, mut variance, features] = ranges(&all, [("part", APART), ("rgb", 3), ("feature", FEATURES)]);
-        let values = if settings.has_further_paths() {
+        let values = if settings.has_further_rays() {
             self.with_further_paths(window, geometry, view, settings, task, &apart, Some(&mut variance))?
         } else {
             further::joined::<PARTS>(&apart)
@@ -276,15 +322,16 @@ mod tests {
     fn packed_views_come_back() {
         let mut stream = Stream::new(4);
         let size = [5, 7];
-        for further_paths in [false, true] {
-            let settings = Settings { further_paths, samples: 2, ..Settings::default() };
+        for further_rays in [false, true] {
+            let settings = Settings { further_rays: u32::from(further_rays), samples: 2, ..Settings::default() };
             let parts = SplitView::values_of(&settings);
-            assert_eq!(parts, if further_paths { MORE_PARTS } else { PARTS });
+            assert_eq!(parts, if further_rays { MORE_PARTS } else { PARTS });
             let mut values = Tensor::zeros(["row", "col", "part"], [size[0], size[1], parts]);
             for (i, value) in values.data_mut().iter_mut().enumerate() {
                 *value = match i % parts {
-                    NORMAL..PARTS => 2.0 * stream.next_f32() - 1.0,
-                    _ => (30.0 * stream.next_f32() - 10.0).exp2(),
+                    0..REFLECTANCE => (30.0 * stream.next_f32() - 10.0).exp2(),
+                    NORMAL..=Z => 2.0 * stream.next_f32() - 1.0,
+                    _ => stream.next_f32(),
                 };
             }
             let view = SplitView::from_values(values).unwrap();
@@ -292,12 +339,13 @@ mod tests {
             assert_eq!(bytes.len(), size[0] * size[1] * SplitView::packed_bytes(&settings));
             let back = SplitView::from_bytes(&bytes, size, &settings).unwrap();
             for (i, (was, is)) in view.values().data().iter().zip(back.values().data()).enumerate() {
-                let most = match i % parts {
-                    12 => 0.0,
-                    NORMAL..PARTS => 0.5 / NORMAL_STEPS + f32::EPSILON,
-                    _ => was / 2048.0,
+                let (most, error) = match i % parts {
+                    0..REFLECTANCE => (was / 2048.0, was - is),
+                    NORMAL..Z => (0.5 / NORMAL_STEPS + f32::EPSILON, was - is),
+                    Z => (0.0, was - is),
+                    _ => (0.5 / 255.0 + f32::EPSILON, was.sqrt() - is.sqrt()),
                 };
-                assert!((was - is).abs() <= most, "value {}: {was} and {is}", i % parts);
+                assert!(error.abs() <= most, "value {}: {was} and {is}", i % parts);
             }
             assert_eq!(back.to_bytes(), bytes);
             assert!(SplitView::from_bytes(&bytes[1..], size, &settings).is_none());

@@ -151,15 +151,7 @@ fn shared_light_has_the_samples_of_all_views() {
     let geometry = geometry().with_grid(grid);
     let settings = Settings { samples: 4, seed: 5, ..Settings::default() };
     let views: Vec<_> = geometry.grid.iter().collect();
-    let split = |&view: &[usize; 2]| renderer.render_split(&window(), &geometry, view, &settings, task).unwrap();
-    let splits: Vec<SplitView> = views.iter().map(split).collect();
-    let share = |geometry: &FieldGeometry, splits: &[SplitView]| -> Vec<Tensor<3>> {
-        let mut light = SharedLight::new(geometry);
-        splits.iter().for_each(|split| light.add(split));
-        let mean = light.averaged(task).unwrap();
-        splits.iter().enumerate().map(|(number, split)| mean.on(number, split)).collect()
-    };
-    let shared = share(&geometry, &splits);
+    let (splits, shared) = split_and_shared(&renderer, &geometry, &settings);
     let (mut before, mut after) = (0.0, 0.0);
     for number in [0, 17, 34] {
         let (view, picture) = (views[number], &shared[number]);
@@ -188,9 +180,72 @@ fn shared_light_has_the_samples_of_all_views() {
     assert!(after < 0.35 * before, "{before} {after}");
     // without another view nothing is shared
     let alone = geometry.with_grid(ViewGrid::single(Projection::Oblique, [0.0; 2]));
-    let same = share(&alone, &splits[..1]);
-    for (a, b) in same[0].data().iter().zip(splits[0].radiance().data()) {
-        assert!((a - b).abs() <= 1e-5 * b.max(1.0));
+    let (splits, same) = split_and_shared(&renderer, &alone, &settings);
+    assert!(same[0] == splits[0].radiance());
+}
+
+/// Renders all views of a grid, and shares their light. Returns the views before and after.
+fn split_and_shared(
+    renderer: &Renderer,
+    geometry: &FieldGeometry,
+    settings: &Settings,
+) -> (Vec<SplitView>, Vec<Tensor<3>>) {
+    let (collector, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&collector, &cancel);
+    let split = |view| renderer.render_split(&window(), geometry, view, settings, task).unwrap();
+    let splits: Vec<SplitView> = geometry.grid.iter().map(split).collect();
+    let mut light = SharedLight::new(geometry, settings.samples);
+    splits.iter().for_each(|split| light.add(split));
+    let mean = light.averaged(task).unwrap();
+    let shared = splits.iter().enumerate().map(|(number, split)| mean.on(number, split)).collect();
+    (splits, shared)
+}
+
+/// Views share the reflections of rough metal, which lowers the error and keeps the mean. Mirrors,
+/// glass and glowing surfaces stay as rendered.
+#[test]
+fn reflections_of_rough_metal_are_shared() {
+    let (collector, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&collector, &cancel);
+    let grid = ViewGrid::uniform(Projection::Oblique, [7, 5], [12.0, 8.0]).unwrap();
+    let geometry = geometry().with_grid(grid);
+    let wall = |material: Material| {
+        let mut builder = Builder::default();
+        builder.add(rectangle(Vec3::new(0.0, 0.0, -0.3), 4.0 * Vec3::X, 4.0 * Vec3::Y), material);
+        builder.add(rectangle(Vec3::new(0.4, 2.5, 1.2), 0.5 * Vec3::X, 0.5 * Vec3::Z), glowing(Vec3::splat(9.0)));
+        builder.sky(&[0.4]);
+        builder.renderer()
+    };
+    let metal = |roughness| Material { metallic: 1.0, roughness, ..Material::default() };
+    let settings = Settings { samples: 2, seed: 5, ..Settings::default() };
+    for roughness in [0.35, 0.6] {
+        let renderer = wall(metal(roughness));
+        let (splits, shared) = split_and_shared(&renderer, &geometry, &settings);
+        for number in [0, 17, 34] {
+            let view = geometry.grid.iter().nth(number).unwrap();
+            let [a, b] = [11, 12].map(|seed| {
+                let settings = Settings { samples: 256, seed, ..Settings::default() };
+                renderer.render_view(&window(), &geometry, view, &settings, task).unwrap()
+            });
+            let error = |picture: &Tensor<3>| {
+                let pixels = picture.data().iter().zip(a.data()).zip(b.data());
+                pixels.map(|((f, a), b)| f64::from(f - a) * f64::from(f - b)).sum::<f64>() / a.data().len() as f64
+            };
+            let [before, after] = [error(&splits[number].radiance()), error(&shared[number])];
+            let [found, truth] = [mean(&shared[number]), 0.5 * (mean(&a) + mean(&b))];
+            println!("{roughness} {number}: {before} {after}, {found} {truth}");
+            assert!(after < 0.25 * before, "roughness {roughness}, view {number}: {before} {after}");
+            // at the rim of the zone, views on one side are missing in the average
+            assert!((found / truth - 1.0).abs() < 0.02, "roughness {roughness}, view {number}: {found} {truth}");
+        }
+    }
+    let glass = Material { metallic: 0.0, roughness: 0.5, transmission: 1.0, ..Material::default() };
+    let lamp = Material { emission: Vec3::ONE, ..metal(0.5) };
+    for material in [metal(0.1), glass, lamp] {
+        let (splits, shared) = split_and_shared(&wall(material), &geometry, &settings);
+        for (split, shared) in splits.iter().zip(&shared) {
+            assert!(*shared == split.radiance());
+        }
     }
 }
 
@@ -238,7 +293,7 @@ fn further_paths_do_no_harm_where_views_share_no_light() {
         let settings = Settings { samples: 4, seed: 5, further_paths, ..Settings::default() };
         let split = |view| renderer.render_split(&window(), &geometry, view, &settings, task).unwrap();
         let splits: Vec<SplitView> = geometry.grid.iter().map(split).collect();
-        let mut light = SharedLight::new(&geometry);
+        let mut light = SharedLight::new(&geometry, settings.samples);
         splits.iter().for_each(|split| light.add(split));
         let mean = light.averaged(task).unwrap();
         let (mut squares, mut worst) = (0.0, 0.0f64);
@@ -255,10 +310,43 @@ fn further_paths_do_no_harm_where_views_share_no_light() {
     };
     let [alone, shared, further] = [errors(false, false), errors(false, true), errors(true, true)];
     println!("{alone:?} {shared:?} {further:?}");
-    assert!(shared[0] < 0.7 * alone[0] && further[0] < 0.6 * shared[0], "{alone:?} {shared:?} {further:?}");
+    assert!(shared[0] < 0.7 * alone[0] && further[0] < 0.7 * shared[0], "{alone:?} {shared:?} {further:?}");
     // The values of a pixel at an edge spread by at most 0.4 for one sample, and 0.2 for four. So
     // the mean of 64 pixels has a standard error of at most 0.025.
     assert!(further[1] < shared[1].min(0.05), "{alone:?} {shared:?} {further:?}");
+}
+
+/// Further rays smooth edges and textures, and change no mean. The paths stay the same.
+#[test]
+fn further_rays_smooth_edges_and_keep_means() {
+    let (renderer, geometry) = (room(), geometry());
+    let plain = Settings { samples: 1, seed: 4, ..Settings::default() };
+    let further = Settings { further_rays: 1, ..plain };
+    let [alone, with] = [&plain, &further].map(|settings| split_and_shared(&renderer, &geometry, settings));
+    let truth = render(&renderer, [0, 1], 1024, 3);
+    let error = |picture: &Tensor<3>| {
+        let pixels = picture.data().iter().zip(truth.data());
+        pixels.map(|(found, truth)| f64::from(found - truth).powi(2)).sum::<f64>() / truth.data().len() as f64
+    };
+    let [before, after] = [error(&alone.1[1]), error(&with.1[1])];
+    println!("{before} {after}");
+    assert!(after < 0.9 * before, "{before} {after}");
+    // Shared pictures of many seeds have the mean of the reference. The tolerance is four standard
+    // errors, plus the error of the nearest pixel in other views.
+    let means = (0..24).map(|seed| {
+        let (_, shared) = split_and_shared(&renderer, &geometry, &Settings { seed, ..further });
+        mean(&shared[1])
+    });
+    let found: Vec<f64> = means.collect();
+    let average = found.iter().sum::<f64>() / found.len() as f64;
+    let spread = found.iter().map(|value| (value - average).powi(2)).sum::<f64>() / (found.len() - 1) as f64;
+    let allowed = 4.0 * (spread / found.len() as f64).sqrt() + 0.005 * mean(&truth);
+    assert!((average - mean(&truth)).abs() < allowed, "{average}, {}, {allowed}", mean(&truth));
+    for count in [1, 3] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().unwrap();
+        let (splits, shared) = pool.install(|| split_and_shared(&renderer, &geometry, &further));
+        assert!(splits == with.0 && shared == with.1, "{count} threads");
+    }
 }
 
 /// Further paths change neither a view without noise nor the mean of a noisy view. The result is
@@ -282,7 +370,7 @@ fn further_paths_keep_the_mean_and_the_bytes() {
     // a view that no other view helps stays as it is
     let alone = geometry.with_grid(ViewGrid::uniform(Projection::Oblique, [1, 1], [1.0, 1.0]).unwrap());
     let own = renderer.render_split(&window(), &alone, [0, 0], &settings, task).unwrap();
-    let mut light = SharedLight::new(&alone);
+    let mut light = SharedLight::new(&alone, settings.samples);
     light.add(&own);
     assert!(light.averaged(task).unwrap().on(0, &own) == own.radiance());
     let dark = Settings { max_bounces: 0, hide_environment: true, ..plain };

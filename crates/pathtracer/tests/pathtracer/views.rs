@@ -13,6 +13,7 @@ use lumistack_scene::{AlphaMode, Filter, Image, Material, Pixels, Texture, Textu
 const SAMPLES: Settings = Settings {
     hide_environment: false,
     samples: 4,
+    further_rays: 0,
     further_paths: false,
     max_bounces: 2,
     roulette_start: 3,

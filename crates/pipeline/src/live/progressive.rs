@@ -25,6 +25,9 @@ const MISSED_SAMPLES: u32 = 4;
 /// Range of a pixel's values in a [`SplitView`] that are the hit surface's normal (three values)
 /// and depth (one value). These values are 0 without a hit.
 const SURFACE: std::ops::Range<usize> = 9..13;
+/// Index of a pixel's alpha in a [`SplitView`]. The smallest alpha counts, since light of glass and
+/// of mirrors cannot be shared.
+const ALPHA: usize = SplitView::VALUES - 1;
 
 /// Views in progress.
 pub(super) struct Progressive {
@@ -109,10 +112,11 @@ impl Progressive {
     /// # Errors
     /// When cancelled.
     pub(super) fn radiance(&self, shot: Shot<'_>, task: Task<'_>) -> Result<Radiance, PipelineError> {
+        let samples = self.views.iter().map(|view| view.samples).max().unwrap_or(1);
         let splits: Option<Vec<&SplitView>> = self.views.iter().map(|view| view.split.as_ref()).collect();
         let shared = match &splits {
             Some(splits) if self.shares => {
-                let mut light = SharedLight::new(&self.of.traced);
+                let mut light = SharedLight::new(&self.of.traced, samples);
                 splits.iter().for_each(|split| light.add(split));
                 Some(light.averaged(task)?)
             }
@@ -129,9 +133,7 @@ impl Progressive {
             if let (false, Some(space)) = (view.splats.is_empty(), Space::of(&shot.ingested.scene)) {
                 put_before(space, &view.splats, to);
             }
-            let of_split = view.split.iter().flat_map(|split| split.values().data().chunks_exact(SplitView::VALUES));
-            let surfaces =
-                of_split.map(|pixel| pixel[SURFACE].iter().any(|value| *value != 0.0)).chain(std::iter::repeat(false));
+            let surfaces = view.split.iter().flat_map(SplitView::surfaces).chain(std::iter::repeat(false));
             brightest.extend(to.chunks_exact(3).map(|rgb| rgb[0].max(rgb[1]).max(rgb[2])).zip(surfaces));
         }
         Ok(Radiance { field, brightest })
@@ -175,8 +177,8 @@ impl View {
 /// one of the renders hits a surface at a pixel, the normal and depth of this render are kept.
 fn mean(before: SplitView, new: &SplitView, share: f32) -> SplitView {
     let mut values: Tensor<3> = before.values().clone();
-    let pixels =
-        values.data_mut().chunks_exact_mut(SplitView::VALUES).zip(new.values().data().chunks_exact(SplitView::VALUES));
+    let parts = values.shape()[2];
+    let pixels = values.data_mut().chunks_exact_mut(parts).zip(new.values().data().chunks_exact(parts));
     for (old, new) in pixels {
         let is_there = |pixel: &[f32]| pixel[SURFACE].iter().any(|value| *value != 0.0);
         let of_surface = match (is_there(old), is_there(new)) {
@@ -184,9 +186,11 @@ fn mean(before: SplitView, new: &SplitView, share: f32) -> SplitView {
             (_, false) => 0.0,
             (true, true) => share,
         };
+        let alpha = old[ALPHA].min(new[ALPHA]);
         for (i, (old, new)) in old.iter_mut().zip(new).enumerate() {
             *old += if SURFACE.contains(&i) { of_surface } else { share } * (new - *old);
         }
+        old[ALPHA] = alpha;
     }
     SplitView::from_values(values).unwrap_or(before)
 }

@@ -283,6 +283,8 @@ struct Sizes {
     solver_times: f64,
     /// Number of paths of the measurement that chooses the number of samples.
     measured_paths: f64,
+    /// Further rays per pixel and view.
+    further_rays: u32,
     memory: Memory,
     disk: Disk,
 }
@@ -343,6 +345,7 @@ impl Sizes {
             values: 3.0 * frames * display.layers.iter().map(|layer| area(layer.resolution)).sum::<f64>(),
             frames,
             solver_times: if matches!(display.backlight, Backlight::Uniform) { 1.0 } else { DIRECTIONAL_TIMES },
+            further_rays: job.further_rays(&display, job.render.samples_of_view(geometry.grid.iter().count())),
             measured_paths: if job.scene.is_some() { samples::paths(job, &display, &geometry) as f64 } else { 0.0 },
         })
     }
@@ -415,7 +418,10 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
         StepKind::Ingest => 1.0,
         StepKind::Place => PLACE + MEASURED_TIMES * sizes.measured_paths,
         StepKind::Trace => {
-            let times = if sizes.memory.further > 0.0 { FURTHER_TIMES } else { 1.0 };
+            let times = match sizes.memory.further > 0.0 {
+                true => FURTHER_TIMES,
+                false => 1.0 + FURTHER_RAY_TIMES * f64::from(sizes.further_rays),
+            };
             sizes.pixels * (sizes.views + sizes.others) * samples * times
         }
         StepKind::Denoise if !job.render.denoise.filters() => 0.0,
@@ -493,6 +499,8 @@ const MEASURED_TIMES: f64 = 1.5;
 /// Time of views that share light and get further paths, divided by the time of the same views
 /// without further paths. Measured factors are between 1.2 and 2.2 (docs/ZONE.md).
 const FURTHER_TIMES: f64 = 1.8;
+/// Time of a ray that ends at the first surface, divided by the time of a path.
+const FURTHER_RAY_TIMES: f64 = 0.17;
 /// Largest number of values per pixel of a view while the view gets further paths. These are the
 /// values of its first paths, of the further paths, and of all paths together.
 const FURTHER_VALUES: f64 = 64.0;

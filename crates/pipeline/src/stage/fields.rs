@@ -74,7 +74,11 @@ impl Shot<'_> {
         let hidden = job.light.background != Background::Environment;
         let footprint = self.display.angular_footprint();
         let settings = job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, footprint);
-        Settings { further_paths: job.has_further_paths(self.display), ..settings }
+        let further_rays = match self.samples {
+            Some(measured) => measured.further_rays,
+            None => job.further_rays(self.display, samples),
+        };
+        Settings { further_rays, further_paths: job.has_further_paths(self.display), ..settings }
     }
 
     /// Returns all light fields of the shot, the target first. The traced views of each light field

@@ -273,8 +273,8 @@ fn render(
     let of_file = |error| PipelineError::write(place.map_or(Path::new(""), |(folder, _)| folder))(error);
     let mut light = match &storage {
         _ if shot.denoise() != Denoise::Shared => None,
-        Some(storage) => Some(SharedLight::in_storage(&traced, storage).map_err(of_file)?),
-        None => Some(SharedLight::new(&traced)),
+        Some(storage) => Some(SharedLight::in_storage(&traced, 1, storage).map_err(of_file)?),
+        None => Some(SharedLight::new(&traced, 1)),
     };
     let mut splits = Array::zeros(size * traced.grid.iter().count(), storage.as_ref()).map_err(of_file)?;
     for (number, view) in traced.grid.iter().enumerate() {

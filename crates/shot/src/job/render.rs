@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::fmt;
 
-use lumistack_display::FieldGeometry;
+use lumistack_display::{Display, FieldGeometry, Views};
 use lumistack_pathtracer::Settings;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Error, Unexpected, Visitor};
@@ -298,6 +298,15 @@ impl RenderJob {
         let spread = (f64::from(self.zone_samples.count()) / views.max(1) as f64).round().clamp(1.0, 65536.0) as u32;
         // a filter that compares two halves of the paths needs at least two paths
         self.samples.unwrap_or(if self.denoise.takes_halves() { spread.max(2) } else { spread })
+    }
+
+    /// Returns the number of [further rays](lumistack_pathtracer::Settings::further_rays) of a pixel,
+    /// for views with `samples` paths per pixel whose number of paths is not measured. Only views
+    /// that the display chooses and that share light get such rays. A second ray costs a sixth to a
+    /// half of a path, and smooths edges and textures.
+    pub fn further_rays(display: &Display, denoise: Denoise, samples: u32) -> u32 {
+        let is_chosen = !matches!(display.field.views, Views::Fixed(_));
+        u32::from(samples == 1 && is_chosen && denoise == Denoise::Shared)
     }
 
     /// Returns whether these settings allow a measurement of the number of paths. The measurement
