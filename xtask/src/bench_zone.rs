@@ -11,7 +11,7 @@ use crate::bench_render::asset;
 use crate::tools::{Outcome, absolute, cargo, command, root, text};
 
 /// Samples per pixel, summed over all views, in every run.
-const SAMPLES: u32 = 400;
+const SAMPLES: u32 = 225;
 /// Views, samples, filter and iterations of the displays with 5 × 5 views. They were the defaults
 /// of jobs before displays could choose their views.
 const FIXED: &str = "views = [5, 5]\n[render]\nsamples = 16\ndenoise = \"guided\"\n[factorize]\niterations = 50\n";

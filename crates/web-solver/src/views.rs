@@ -59,8 +59,9 @@ struct Traced {
     /// The pixels, and the slopes at which the scene is traced: the display's slopes times the
     /// depth scale.
     geometry: FieldGeometry,
-    /// Views in the order of the grid; `None` for views that are not traced yet.
-    splits: Vec<Option<SplitView>>,
+    /// Views in the order of the grid, packed as the command packs them in its cache, since pages have
+    /// little memory; `None` for views that are not traced yet.
+    splits: Vec<Option<Vec<u8>>>,
 }
 
 impl Picked {
@@ -189,7 +190,7 @@ impl Views {
             Detail::Coarse => &mut self.coarse,
             Detail::Full => &mut self.full,
         };
-        traced.splits[number] = Some(split);
+        traced.splits[number] = Some(split.to_bytes());
     }
 
     /// Keeps the values of a view that another thread traced.
@@ -205,7 +206,7 @@ impl Views {
         match self.full.splits.get_mut(number) {
             Some(place) if split.data().len() == found => {
                 split.data_mut().copy_from_slice(&values);
-                *place = SplitView::from_values(split);
+                *place = SplitView::from_values(split).map(|split| split.to_bytes());
                 Ok(())
             }
             _ => Err(Error::value("view", "the values of a view", found)),
@@ -252,21 +253,24 @@ impl Views {
         let numbers: Vec<usize> = picked.views().map(|view| self.number(view)).collect();
         let mut field = LightField::black(traced.with_grid(of_display.grid.clone()))?;
         let places: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
-        let splits = &self.traced(detail).splits;
-        let splits: Vec<&SplitView> = numbers.iter().filter_map(|&number| splits[number].as_ref()).collect();
-        // Write the radiance of surfaces. With the filter `Denoise::Shared`, the diffuse light is
-        // averaged over the views.
-        if splits.len() == numbers.len() {
+        // Write the radiance of surfaces. With the filter `Denoise::Shared`, light is averaged over
+        // the views.
+        let packed = &self.traced(detail).splits;
+        if numbers.iter().all(|&number| packed[number].is_some()) {
+            let splits = || {
+                let packed = numbers.iter().filter_map(|&number| packed[number].as_ref());
+                packed.filter_map(|bytes| SplitView::from_bytes(bytes, [traced.rows, traced.cols], &self.paths))
+            };
             let shared = if self.denoise == Denoise::Shared {
                 let mut light = SharedLight::new(&traced, self.samples());
-                splits.iter().for_each(|split| light.add(split));
+                splits().for_each(|split| light.add(&split));
                 Some(light.averaged(task)?)
             } else {
                 None
             };
-            for (number, (&place, split)) in places.iter().zip(&splits).enumerate() {
+            for (number, (&place, split)) in places.iter().zip(splits()).enumerate() {
                 let radiance = match &shared {
-                    Some(shared) => shared.on(number, split),
+                    Some(shared) => shared.on(number, &split),
                     None => split.radiance(),
                 };
                 field.view_mut(place).copy_from_slice(radiance.data());

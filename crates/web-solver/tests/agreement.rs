@@ -82,7 +82,7 @@ fn difference(folder: &Path, mut work: Work) -> f64 {
 
 #[test]
 fn patterns_are_those_of_the_command() {
-    // the command rounds views when it caches them, so a small difference remains
+    // the command rounds filtered views when it caches them, so a small difference remains
     for (folder, file) in [("letters", "letters.gltf"), ("dandelion", "dandelion.spz")] {
         let settings = Settings::from_json(CHOICE).unwrap();
         let work = Work::new(files(&scene(folder)), file, settings).unwrap();

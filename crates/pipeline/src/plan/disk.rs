@@ -112,10 +112,10 @@ mod tests {
         assert_eq!(rays, 625 * 840 * 525);
         let kinds = [StepKind::Trace, StepKind::Denoise, StepKind::Expose, StepKind::Score, StepKind::Patterns];
         let score = 2 * 32 * 840 * 525 * 12;
-        assert_eq!(together(kinds.map(|kind| disk.of_step(kind)).into_iter()), (25 + 22 + 12 + 6) * rays + score);
+        assert_eq!(together(kinds.map(|kind| disk.of_step(kind)).into_iter()), (32 + 28 + 12 + 6) * rays + score);
         // a light field in memory needs no files but its views
         let (disk, rays) = disk_of(|job| job.display.resolution = Some([84, 53]));
-        assert_eq!(disk.of_step(StepKind::Denoise), [12 * rays, 25 * rays]);
+        assert_eq!(disk.of_step(StepKind::Denoise), [12 * rays, 32 * rays]);
         assert_eq!(disk.of_step(StepKind::Patterns), [0, 0]);
         let (disk, rays) = disk_of(|job| job.render.denoise = Denoise::Off);
         assert_eq!([StepKind::Trace, StepKind::Denoise].map(|kind| disk.of_step(kind)), [[12 * rays, 0], [0, 0]]);

@@ -488,7 +488,7 @@ const PROGRAM: f64 = (80 << 20) as f64;
 const VIEWS_IN_WORK: f64 = 8.0;
 /// Time of the filter `shared`, divided by the time of the other filters. Measured with 169 views
 /// of 420 × 262 pixels.
-const SHARED_SHARE: f64 = 0.03;
+const SHARED_SHARE: f64 = 0.06;
 /// Time of the solver for a directional backlight, divided by its time for a uniform one.
 const DIRECTIONAL_TIMES: f64 = 8.0;
 /// Time to place the window, as a multiple of the time of a path.

@@ -200,8 +200,9 @@ pub enum Denoise {
     Auto,
     /// No filter: views are unbiased.
     Off,
-    /// For each surface point, averages the light that does not depend on the view over all views
-    /// that see the point.
+    /// For each surface point, averages the light that several views see alike over these views:
+    /// diffuse light over all views that see the point, and reflections of rough surfaces over
+    /// neighbouring views.
     Shared,
     /// Lumistack's own filter, over all views together.
     Guided,
