@@ -64,9 +64,10 @@ pub(crate) struct RenderArgs {
     pub(crate) max_bounces: Option<u32>,
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, the
     /// diffuse light of each surface point is averaged over the views that see the point, and
-    /// reflections of rough surfaces over neighbouring views. With guided, Lumistack's filter works on all views together. With oidn, the program Open Image
-    /// Denoise filters each view; you must install this program. Auto means shared if the number of
-    /// views is automatic and Lumistack's path tracer renders the views, otherwise off
+    /// reflections of rough surfaces over neighbouring views. With guided, Lumistack's filter works
+    /// on all views together. With oidn, the program Open Image Denoise filters each view; you must
+    /// install this program. Auto means shared if the number of views is automatic and Lumistack's
+    /// path tracer renders the views, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
     /// Camera that sees the scene, by its name or its number from 0. If the camera has a plane of

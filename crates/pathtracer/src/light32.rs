@@ -1,9 +1,8 @@
 //! Light of three channels in 32 bits: mantissas with a common exponent.
 //!
-//! A code has 6 bits of exponent and mantissas of 9 bits for red and green, and 8 bits for blue. So
-//! the error of a channel is at most about 2⁻⁹ of the largest channel for red and green, and 2⁻⁸ for
-//! blue, to which eyes are least sensitive. The largest
-//! channel reaches from 1.9e-9 to 3.4e10.
+//! A code has 6 bits of exponent and mantissas of 9 bits for red and green, and 8 bits for blue, to
+//! which eyes are least sensitive. The error of red and green is at most about 2⁻⁹ of the largest
+//! channel, the error of blue 2⁻⁸. The largest channel reaches from 1.9e-9 to 3.4e10.
 
 /// Bits of the three mantissas, from the lowest bits of a code.
 const BITS: [u32; 3] = [9, 9, 8];

@@ -253,8 +253,8 @@ impl Renderer {
     }
 
     /// Computes `K` values for every pixel of a view by the function `values`: `[row][col][k]`.
-    /// With `count` = [paths, rays], each pixel has `rays` rays, of which the first `paths` continue
-    /// as paths.
+    /// With `count` = [paths, rays], each pixel has `rays` rays, of which the first `paths`
+    /// continue as paths.
     /// `radiance` extracts the radiance from the values of a pixel. `values` receives data of the
     /// paths' first surfaces only if `FIRST` is true.
     fn view_of<const FIRST: bool, const K: usize>(

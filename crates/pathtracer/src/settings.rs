@@ -7,10 +7,10 @@ use thiserror::Error;
 pub struct Settings {
     /// Paths per pixel and view, 1..=65536. Powers of two stratify best. Default 32.
     pub samples: u32,
-    /// Number of further rays per pixel of a [split view](crate::Renderer::render_split), 0..=65536.
-    /// They end at the first surface, so they cost a quarter of a path. They make edges and textures
-    /// sharper; the light of the surfaces comes from the paths. Functions that render no split view
-    /// ignore this setting. Default 0.
+    /// Number of further rays per pixel of a [split view](crate::Renderer::render_split),
+    /// 0..=65536. They end at the first surface, so they cost a sixth to a half of a path. They
+    /// smooth edges and textures; the light of the surfaces comes from the paths. Functions that
+    /// render no split view ignore this setting. Default 0.
     pub further_rays: u32,
     /// Gives further rays and paths to the noisy pixels of a [split
     /// view](crate::Renderer::render_split): at edges, in mirrored light and inside textures. This

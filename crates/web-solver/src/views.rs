@@ -59,8 +59,8 @@ struct Traced {
     /// The pixels, and the slopes at which the scene is traced: the display's slopes times the
     /// depth scale.
     geometry: FieldGeometry,
-    /// Views in the order of the grid, packed as the command packs them in its cache, since pages have
-    /// little memory; `None` for views that are not traced yet.
+    /// Views in the order of the grid, packed as the command packs them in its cache, since pages
+    /// have little memory; `None` for views that are not traced yet.
     splits: Vec<Option<Vec<u8>>>,
 }
 

@@ -10,8 +10,8 @@
 //! L' = ρ_d E' + γ_d H'
 //! ```
 //!
-//! The mean reflectance of the first surfaces is ρ_p over the pixel's paths, and ρ_d over all rays
-//! of the pixel. γ is the reflectance of the other lobes at normal incidence. With
+//! The mean reflectance of the first surfaces is ρ_p over the pixel's paths. Over all rays of the
+//! pixel, it is ρ_d. The reflectance of the other lobes at normal incidence is γ_p and γ_d. With
 //! [`Settings::further_rays`](crate::Settings::further_rays), pixels have more rays than paths.
 //!
 //! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
@@ -24,17 +24,19 @@
 //! view sees the surface.
 //!
 //! E is the same in all views. A lobe of the roughness √α spreads light over angles of about α
-//! around the mirrored direction. From view to view, this direction turns by |s − s'|. So
+//! around the mirrored direction. From view to view, this direction turns by |s − s'|. The weight
 //! k = exp(−n |s − s'|² / α²), approximately, averages H over angles that the lobe spreads anyway.
-//! With n = 1 path per pixel and view, the lobe becomes wider by about 6 %; with more paths, less is
-//! averaged. Mirrors and glass, with k = 0, keep their light as rendered.
+//! With n = 1 path per pixel and view, the lobe becomes wider by about 6 %; with more paths, less
+//! is averaged. Mirrors and glass, with k = 0, keep their light as rendered.
 //!
 //! So a point that hundreds of views see has the diffuse samples of all of them. Each step of an
 //! average costs one shift and one comparison. The averages over a row and then over a column of
 //! views take one step per view of that row and column. One average over all views would take one
 //! step per view of the grid.
 //!
-//! README's job (`scenes/still-life/job.toml`), whose teapot is a rough metal, 13 × 13 views:
+//! The table has results of README's job (`scenes/still-life/job.toml`), whose teapot is a rough
+//! metal, with 13 × 13 views. The score is that of the viewing zone. A further ray ends at the
+//! first surface.
 //!
 //! | paths | further rays | G | CPU seconds of rendering | score in the viewing zone |
 //! |---|---|---|---|---|
@@ -47,13 +49,15 @@
 //! | 2 | 0 | shared | 52 | 26.3 dB |
 //! | 9 | 0 | as rendered | 227 | 26.6 dB |
 //!
-//! Twice and four times the square of α in k gave the same score within 0.02 dB. FlightHelmet, whose
-//! metals have textures and bumps, scored 38.53 dB with 8 paths and G as rendered. It scored 38.48 dB
-//! with G shared, and 38.59 dB with the factor n and the weight of the distance from the pixel's
-//! centre. Dielectrics matter, too: without sharing G where γ < 0.08, the scores fell by 0.12 dB
-//! (still-life) and 0.7 dB (FlightHelmet, 2 paths). [Further paths](crate::Settings::further_paths) for noisy pixels improve views that are seen one by one.
-//! They do not help if the views are chosen for a display, since its solver averages the same noise
-//! over many views.
+//! Twice and four times the square of α in k gave the same score within 0.02 dB. FlightHelmet,
+//! whose metals have textures and bumps, scored 38.53 dB with 8 paths and G as rendered. With G
+//! shared, but without the factor n and the weight of the distance from the pixel's centre, it
+//! scored 38.48 dB, and with both 38.59 dB. Dielectrics matter, too: with G as rendered where
+//! γ < 0.08, still-life lost 0.12 dB.
+//!
+//! [Further paths](crate::Settings::further_paths) for noisy pixels improve views that are seen one
+//! by one. They do not help if the views are chosen for a display, since its solver averages the
+//! same noise over many views.
 
 use std::io;
 
@@ -287,7 +291,8 @@ struct Own {
     turn: f32,
 }
 
-/// Returns n / (4 α²) of the weight k for every value of [`Point::roughness`]; infinite for mirrors.
+/// Returns n / (4 α²) of the weight k for every value of [`Point::roughness`]. It is infinite for
+/// mirrors.
 fn turns(paths: u32) -> [f32; 256] {
     std::array::from_fn(|roughness| {
         let alpha = (roughness as f32 / 255.0).powi(2).min(MOST_ALPHA);

@@ -121,18 +121,18 @@ impl SplitView {
 
     /// Returns `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm, gloss rgb,
     /// alpha]`. Light is radiance, normals are in display space, z is in millimetres. The gloss is
-    /// the reflectance of the lobes that depend on the viewer's direction, and alpha the squared
-    /// roughness of the sharpest of them (0 for glass and for light that rays themselves see). With
-    /// [further rays](Settings::has_further_rays) a second reflectance rgb and a second gloss rgb
-    /// follow. Like the light, they are means over the paths alone.
+    /// the reflectance of the lobes that depend on the viewer's direction. The squared roughness of
+    /// the sharpest of these lobes is alpha; it is 0 for glass and for light that rays themselves
+    /// see. With [further rays](Settings::has_further_rays) a second reflectance rgb and a second
+    /// gloss rgb follow. Like the light, they are means over the paths alone.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
 
     /// Returns the values in few bytes for a file: [`packed_bytes`](Self::packed_bytes) per pixel.
-    /// Light has a relative error of at most 2⁻¹¹ (negative values become 0). The square roots of
-    /// reflectances and of alpha have an error of at most 1/510 (values above 1 become 1), and the
-    /// components of normals an error of at most 1/254.
+    /// Light has a relative error of at most 2⁻¹¹; negative values become 0. The square roots of
+    /// reflectances and of alpha have an error of at most 1/510; values above 1 become 1. The
+    /// components of normals have an error of at most 1/254.
     pub fn to_bytes(&self) -> Vec<u8> {
         let [rows, cols, parts] = self.values.shape();
         let size = bytes_of(parts);

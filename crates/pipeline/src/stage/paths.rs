@@ -14,8 +14,8 @@ const MOST_PATHS: usize = 3200;
 /// change of the display rarely changes the number. Views with another number of paths must be
 /// rendered again.
 const CHOICES: [u32; 12] = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64];
-/// Squared error from the noise of one path and one further ray per pixel and view, as a fraction of
-/// the error from one path alone. A pixel's two rays are stratified. Measured: 0.40 for
+/// Squared error from the noise of one path and one further ray per pixel and view, as a fraction
+/// of the error from one path alone. A pixel's two rays are stratified. Measured: 0.40 for
 /// `scenes/still-life/job.toml`.
 const FURTHER_NOISE: f64 = 0.5;
 /// Measured errors, and the number of paths that follows from them.

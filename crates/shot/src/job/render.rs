@@ -200,8 +200,8 @@ pub enum Denoise {
     Auto,
     /// No filter: views are unbiased.
     Off,
-    /// For each surface point, averages the light that several views see alike over these views:
-    /// diffuse light over all views that see the point, and reflections of rough surfaces over
+    /// For each surface point, averages the light that several views see alike. Diffuse light is
+    /// averaged over all views that see the point, and reflections of rough surfaces over
     /// neighbouring views.
     Shared,
     /// Lumistack's own filter, over all views together.
@@ -301,10 +301,10 @@ impl RenderJob {
         self.samples.unwrap_or(if self.denoise.takes_halves() { spread.max(2) } else { spread })
     }
 
-    /// Returns the number of [further rays](lumistack_pathtracer::Settings::further_rays) of a pixel,
-    /// for views with `samples` paths per pixel whose number of paths is not measured. Only views
-    /// that the display chooses and that share light get such rays. A second ray costs a sixth to a
-    /// half of a path, and smooths edges and textures.
+    /// Returns the number of [further rays](lumistack_pathtracer::Settings::further_rays) of a
+    /// pixel, for views with `samples` paths per pixel whose number of paths is not measured. Only
+    /// views that the display chooses and that share light get such rays. A second ray costs a
+    /// sixth to a half of a path, and smooths edges and textures.
     pub fn further_rays(display: &Display, denoise: Denoise, samples: u32) -> u32 {
         let is_chosen = !matches!(display.field.views, Views::Fixed(_));
         u32::from(samples == 1 && is_chosen && denoise == Denoise::Shared)
