@@ -153,8 +153,8 @@ class LUMISTACK_OT_make(_Steps):
     bl_label = "Make Tensor Display"
 
     def _show(self, context):
-        # The picture from straight ahead is one of the solver's views, so it is better than in
-        # other directions.
+        # The view from straight ahead is a view of the solver, so its picture flatters the display.
+        # Show a direction between the views instead.
         held = jobs.shown[context.scene.name]
         show_view(context.scene, held.beside)
         if any(held.beside):

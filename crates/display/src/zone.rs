@@ -81,7 +81,7 @@ impl Zone {
 /// Error of the seen picture in one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectionScore {
-    /// Slope (x, y) at the centre of the field.
+    /// Slope (x, y) of the direction, at the centre of the light field's rectangle.
     pub slope: [f64; 2],
     /// Mean squared error over pixels and channels. If the true error is tiny, noise may make this
     /// value slightly negative.

@@ -515,7 +515,7 @@ impl Windows {
         }
     }
 
-    /// Returns a function that returns a pointer to the window of a factor.
+    /// Returns a map from the index of a factor to the address of its mixed line.
     pub(crate) fn lines(&mut self) -> impl Fn(usize) -> *mut f32 + use<'_> {
         let first = self.values.as_mut_ptr();
         move |k| first.wrapping_add(self.starts[k])

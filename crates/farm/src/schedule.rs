@@ -28,8 +28,8 @@ pub struct Prediction {
     pub busy: f64,
 }
 
-/// Returns the length of the path of each unit: seconds from the unit's start to the end of the
-/// last unit that depends on it.
+/// Returns, for each unit, the seconds of the longest chain of units that begins with this unit.
+/// Each unit of a chain depends on the one before it.
 pub fn paths(graph: &Graph, overhead_seconds: f64) -> Vec<f64> {
     let mut after = vec![0.0f64; graph.units.len()];
     let mut paths = vec![0.0; graph.units.len()];

@@ -17,8 +17,8 @@ const MOST: u32 = 63;
 /// A code that no light has.
 pub(crate) const NONE: u32 = u32::MAX;
 
-/// Returns the code of the nearest light. Negative values and NaN become 0. Light out of range
-/// becomes the darkest or the brightest light of its colour.
+/// Returns the code of the nearest light. Negative values, NaN and light that is too dark become 0.
+/// Channels that are too bright are limited.
 #[inline]
 pub(crate) fn encode(rgb: [f32; 3]) -> u32 {
     // `max` also turns NaN into 0

@@ -254,9 +254,8 @@ impl Renderer {
 
     /// Computes `K` values for every pixel of a view by the function `values`: `[row][col][k]`.
     /// With `count` = [paths, rays], each pixel has `rays` rays, of which the first `paths`
-    /// continue as paths.
-    /// `radiance` extracts the radiance from the values of a pixel. `values` receives data of the
-    /// paths' first surfaces only if `FIRST` is true.
+    /// continue as paths. `radiance` extracts the radiance from the values of a pixel. `values`
+    /// receives data of the rays' first surfaces only if `FIRST` is true.
     fn view_of<const FIRST: bool, const K: usize>(
         &self,
         window: &Window,

@@ -9,8 +9,9 @@ pub struct Settings {
     pub samples: u32,
     /// Number of further rays per pixel of a [split view](crate::Renderer::render_split),
     /// 0..=65536. They end at the first surface, so they cost a sixth to a half of a path. They
-    /// smooth edges and textures; the light of the surfaces comes from the paths. Functions that
-    /// render no split view ignore this setting. Default 0.
+    /// smooth edges and textures; the light of the surfaces comes from the paths. Edges of mirrors
+    /// and glass before a visible environment become noisier, since views do not share their light.
+    /// Functions that render no split view ignore this setting. Default 0.
     pub further_rays: u32,
     /// Gives further rays and paths to the noisy pixels of a [split
     /// view](crate::Renderer::render_split): at edges, in mirrored light and inside textures. This

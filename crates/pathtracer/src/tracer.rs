@@ -163,10 +163,10 @@ pub(crate) struct First {
 /// The reflection of a surface that depends on the viewer's direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Gloss {
-    /// Approximate reflectance at normal incidence.
+    /// Approximate reflectance of the base at normal incidence.
     pub(crate) reflectance: Vec3,
-    /// Squared roughness of the sharpest lobe: over this angle, the reflection stays about the
-    /// same. It is 0 for glass, at whose points other views see other light.
+    /// The smaller squared roughness of base and coat. Over this angle, the reflection stays about
+    /// the same. It is 0 for glass, at whose points other views see other light.
     pub(crate) alpha: f32,
 }
 

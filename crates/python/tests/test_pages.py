@@ -252,7 +252,8 @@ def test_the_commands_of_a_page_work(page: str, tmp_path: Path, monkeypatch: pyt
         (folder / "target/release").mkdir(parents=True)
         for name in ("crates", "examples"):
             (folder / name).symlink_to(ROOT / name)
-        # the library of the page's first plugin is the one in C, which needs no cargo
+        # Commands of the page need a plugin library in target/release. Build the page's plugin in
+        # C there, since it needs no cargo.
         [build] = [command for block in pages.blocks(page) if block.language == "sh" for _, command in pages.commands(block) if command.startswith("cc ")]
         pages.run(build.replace("-o target/", "-o target/release/"), folder)
     elif page == "CONTRIBUTING.md":

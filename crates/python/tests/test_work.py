@@ -49,7 +49,7 @@ except KeyboardInterrupt:
     [
         "lumistack.factorize(field, iterations=100000, callback=callback)",
         "lumistack.render(scene, display, samples=65536, callback=callback)",
-        "lumistack.run({'scene': scene, 'render': {'samples': 60000}, 'display': {'preset': 'paper-three-layer'}}, sys.argv[2], callback=callback)",
+        "lumistack.run({'scene': scene, 'render': {'samples': 60000}, 'display': {'preset': 'paper-three-layer', 'resolution': [420, 262]}}, sys.argv[2], callback=callback)",
     ],
     ids=["factorize", "render", "run"],
 )
@@ -70,7 +70,9 @@ def test_ctrl_c_interrupts(call: str, scene: Path, tmp_path: Path) -> None:
 
 
 def test_ctrl_c_ends_the_command_with_130(scene: Path, tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "lumistack", "run", str(scene), "--samples", "60000", "-o", str(tmp_path / "run")]
+    # with all its pixels, the run would need many gigabytes of disk space
+    size = ["--resolution", "420x262", "--samples", "60000"]
+    words = [sys.executable, "-m", "lumistack", "run", str(scene), *size, "-o", str(tmp_path / "run")]
     child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, preexec_fn=interruptible)
     assert child.stderr is not None
     for line in child.stderr:

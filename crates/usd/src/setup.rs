@@ -93,7 +93,7 @@ impl Setup {
         let checked = run(Command::new(&python).args(["-c", CHECK]), &mut |_| {}, cancel)?;
         let version = step(format!("`import pxr` to succeed after `pip install {package}`"), checked)?;
         say(&format!(
-            "{} is ready; USD files are read by {}, unless LUMISTACK_PYTHON is set or an active environment has usd-core",
+            "{} is ready; USD files are read by {}, unless LUMISTACK_PYTHON is set or an active environment has OpenUSD",
             version.trim(),
             python.display()
         ));

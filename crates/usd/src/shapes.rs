@@ -76,6 +76,19 @@ fn points(package: &Package<'_>, array: &Option<Array>, place: &str) -> Result<V
     }
 }
 
+/// Returns the width of curves or points without widths, and warns about it. `found` is the width
+/// that follows from the distances between points; `None` if all points coincide.
+fn width_by_spacing(kind: &str, found: Option<f32>, place: &str, task: Task<'_>) -> f32 {
+    let message = match found {
+        Some(width) => {
+            format!("the {kind} have no widths; the width {width} follows from the distances between points")
+        }
+        None => format!("the {kind} have no widths, and all points coincide; the width {WIDTH} is used"),
+    };
+    task.warn(place, message);
+    found.unwrap_or(WIDTH)
+}
+
 fn interpolation(name: &str) -> Interpolation {
     match name {
         "constant" => Interpolation::Constant,
@@ -153,11 +166,8 @@ pub(crate) fn curves(
     };
     let widths = list(&entry.widths, &entry.widths_interpolation)?;
     let widths = widths.unwrap_or_else(|| {
-        let width = spacing::width(&middles(&points, &counts), &points, CURVES).unwrap_or(WIDTH);
-        let message = format!(
-            "the curves have no widths; the width {width} is used, which follows from their spacing (1 if all points coincide)"
-        );
-        task.warn(place, message);
+        let width =
+            width_by_spacing("curves", spacing::width(&middles(&points, &counts), &points, CURVES), place, task);
         Owned { values: vec![width], width: 1, interpolation: Interpolation::Constant }
     });
     let normals = list(&entry.normals, &entry.normals_interpolation)?.filter(|normals| normals.width == 3);
@@ -204,11 +214,7 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
     };
     let mut widths = widths;
     if widths.is_empty() && !points.is_empty() {
-        let width = spacing::width(&points, &points, POINTS).unwrap_or(WIDTH);
-        let message = format!(
-            "the points have no widths; the width {width} is used, which follows from their spacing (1 if all points coincide)"
-        );
-        task.warn(place, message);
+        let width = width_by_spacing("points", spacing::width(&points, &points, POINTS), place, task);
         widths.push(width);
     }
     // A point without a width gets the first width. If there are fewer colours than points, all

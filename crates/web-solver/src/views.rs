@@ -59,8 +59,10 @@ struct Traced {
     /// The pixels, and the slopes at which the scene is traced: the display's slopes times the
     /// depth scale.
     geometry: FieldGeometry,
-    /// Views in the order of the grid, packed as the command packs them in its cache, since pages
-    /// have little memory; `None` for views that are not traced yet.
+    /// Number of paths per pixel of the last view that was kept.
+    samples: u32,
+    /// Views in the order of the grid, packed as in the command's cache, since pages have little
+    /// memory; `None` for views that are not traced yet.
     splits: Vec<Option<Vec<u8>>>,
 }
 
@@ -183,13 +185,15 @@ impl Views {
         self.trace([number / cols, number % cols], Detail::Full, self.samples(), task)
     }
 
-    /// Keeps a traced view. It replaces an earlier result for this view.
-    pub(crate) fn keep(&mut self, view: [usize; 2], detail: Detail, split: SplitView) {
+    /// Keeps a view that was traced with `samples` paths per pixel. It replaces an earlier result
+    /// for this view.
+    pub(crate) fn keep(&mut self, view: [usize; 2], detail: Detail, samples: u32, split: &SplitView) {
         let number = self.number(view);
         let traced = match detail {
             Detail::Coarse => &mut self.coarse,
             Detail::Full => &mut self.full,
         };
+        traced.samples = samples;
         traced.splits[number] = Some(split.to_bytes());
     }
 
@@ -203,6 +207,7 @@ impl Views {
             ["row", "col", "part"],
             [self.geometry.rows, self.geometry.cols, SplitView::values_of(&self.paths)],
         );
+        self.full.samples = self.paths.samples;
         match self.full.splits.get_mut(number) {
             Some(place) if split.data().len() == found => {
                 split.data_mut().copy_from_slice(&values);
@@ -240,7 +245,7 @@ impl Views {
     }
 
     /// Makes a light field of the picked views. The steps are those of the command: average the
-    /// light that all views share, add splats, apply exposure and tone curve, and round. At the
+    /// light that views share, add splats, apply exposure and tone curve, and round. At the
     /// end, coarse views are interpolated to all pixels.
     ///
     /// # Errors
@@ -262,7 +267,7 @@ impl Views {
                 packed.filter_map(|bytes| SplitView::from_bytes(bytes, [traced.rows, traced.cols], &self.paths))
             };
             let shared = if self.denoise == Denoise::Shared {
-                let mut light = SharedLight::new(&traced, self.samples());
+                let mut light = SharedLight::new(&traced, self.traced(detail).samples);
                 splits().for_each(|split| light.add(&split));
                 Some(light.averaged(task)?)
             } else {
@@ -320,7 +325,7 @@ impl Views {
 
 impl Traced {
     fn none(geometry: FieldGeometry) -> Self {
-        Self { splits: geometry.grid.iter().map(|_| None).collect(), geometry }
+        Self { splits: geometry.grid.iter().map(|_| None).collect(), samples: 1, geometry }
     }
 }
 

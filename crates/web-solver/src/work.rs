@@ -336,7 +336,7 @@ impl Work {
             Piece::Trace { view, detail, samples } => {
                 let views = views(&mut self.views)?;
                 let split = views.trace(view, detail, samples, task)?;
-                views.keep(view, detail, split);
+                views.keep(view, detail, samples, &split);
             }
             Piece::Splats(some) => views(&mut self.views)?.render_splats(&some, task)?,
             Piece::Begin(picked, detail) => {

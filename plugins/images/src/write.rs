@@ -234,8 +234,10 @@ impl Images {
                 bands.extend((0..stack.frames()).map(|frame| sheet::patterns(&self.display, stack, frame)));
                 legend += "Patterns: one row per frame, layers from rear (left) to front; a pixel's transmittance (or emission, or rotation), 0 to 1, \
                            shown in sRGB.\n";
-                legend +=
-                    &format!("Views: for an adapted viewer, light divided by {:.3}, in sRGB.", stack.brightness());
+                legend += &format!(
+                    "Views: the emitted light divided by the brightness β = {:.3}, to which a viewer's eyes adapt, in sRGB.",
+                    stack.brightness()
+                );
                 let chosen = match self.params.views {
                     Views::None => Vec::new(),
                     Views::Some => centre_and_corners(grid.views()),

@@ -26,7 +26,7 @@
 //! E is the same in all views. A lobe of the roughness √α spreads light over angles of about α
 //! around the mirrored direction. From view to view, this direction turns by |s − s'|. The weight
 //! k = exp(−n |s − s'|² / α²), approximately, averages H over angles that the lobe spreads anyway.
-//! With n = 1 path per pixel and view, the lobe becomes wider by about 6 %; with more paths, less
+//! With n = 1 path per pixel and view, the lobe becomes wider by about 9 %; with more paths, less
 //! is averaged. Mirrors and glass, with k = 0, keep their light as rendered.
 //!
 //! So a point that hundreds of views see has the diffuse samples of all of them. Each step of an
@@ -75,8 +75,8 @@ use crate::{SplitView, light32};
 const PLANE_SCALE: f32 = 0.75;
 /// Two surfaces are treated as different if the cosine between their normals is below this.
 const LEAST_COSINE: f32 = 0.8;
-/// Smallest reflectance that radiance is divided by. The light of darker surfaces is too noisy to
-/// be shared.
+/// Radiance is divided by at least this reflectance, so that the light of darker surfaces does not
+/// become too noisy.
 const LEAST_REFLECTANCE: f32 = 0.02;
 
 /// Largest α of the weight k. Rougher surfaces are less noisy, and an average over many views
@@ -287,7 +287,8 @@ struct Own {
     /// to the distance at which the weight is 0.
     slant: f32,
     normal: [i32; 3],
-    /// The factor of |s − s'|² at the pixel's roughness, from [`turns`].
+    /// The factor of |s − s'|² at the pixel's roughness, from [`turns`]. In perspective views, s
+    /// and s' are the central slopes.
     turn: f32,
 }
 
@@ -405,8 +406,8 @@ fn of_view(
                 if point.normal[0] * nx + point.normal[1] * ny + point.normal[2] * nz < least_product {
                     continue;
                 }
-                // `point` and `there` are on the ray of one pixel, apart from the rounding to whole
-                // pixels. So they differ only in depth.
+                // Apart from the rounding to whole pixels, both points are on the same ray of the
+                // other view. So they differ only in depth.
                 let off = point.slant * (there.z_mm - point.z_mm);
                 let nearness = (1.0 - off * off).max(0.0);
                 // distance from the centre of the pixel that is read, 1 at the pixel's edges

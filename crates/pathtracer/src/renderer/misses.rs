@@ -9,8 +9,10 @@ use crate::settings::Settings;
 
 impl Renderer {
     /// Returns, as `[row][col]`, the fraction 0..1 of the primary rays of every pixel that miss all
-    /// surfaces. [`render_view`](Self::render_view) traces exactly these rays with the same
-    /// settings. Does not advance the progress.
+    /// surfaces. With the same settings, [`render_split`](Self::render_split) traces exactly these
+    /// rays before any [further paths](Settings::further_paths). Without [further
+    /// rays](Settings::further_rays), [`render_view`](Self::render_view) does, too. Does not
+    /// advance the progress.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).
@@ -22,15 +24,17 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<Tensor<2>, RenderError> {
-        let samples = self.samples_of(window, geometry, view, settings, settings.samples)?;
+        let [_, rays_of_pixel] = settings.rays();
+        let samples = self.samples_of(window, geometry, view, settings, rays_of_pixel)?;
         let (quiet, tracer) = (Task { progress: &NoProgress, ..task }, self.tracer());
         let shares = self.by_tiles(geometry, quiet, ["row", "col", "missed"], |row, col, stack| {
             let mut missed = 0;
-            samples.for_each_beam(&[[row, col]], |beam, draws| {
+            let seed = |at| samples.pixel_seed(at);
+            samples.for_each_beam_of(&[[row, col]], seed, [rays_of_pixel; 2], |beam, draws| {
                 let (in_bounds, (rays, _)) = (beam.in_bounds, beam.parts());
                 missed += tracer.misses(rays, in_bounds, draws, stack);
             });
-            [missed as f32 / settings.samples as f32]
+            [missed as f32 / rays_of_pixel as f32]
         })?;
         let [rows, cols, _] = shares.shape();
         let mut flat = Tensor::zeros(["row", "col"], [rows, cols]);

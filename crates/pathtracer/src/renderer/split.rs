@@ -30,15 +30,15 @@ pub struct SplitView {
     /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm, gloss rgb, alpha]`.
     /// The normal is in display space, and z_mm is the depth in display space towards the viewer.
     /// Both are 0 if no surface is seen. The reflectance is that of the diffuse lobe, the gloss
-    /// that of all other lobes at normal incidence. The squared roughness of the sharpest lobe is
-    /// alpha; it is 0 if the pixel shows glass or light that a ray itself sees. With [further
-    /// rays](Settings::has_further_rays) a second reflectance rgb and a second gloss rgb follow.
-    /// The first ones are means over all rays of the pixel, the second ones means over the rays
-    /// that continue as paths.
+    /// that of the base's other lobes at normal incidence. The smaller squared roughness of
+    /// base and coat is alpha; it is 0 if the pixel shows glass or light that a ray itself sees.
+    /// With [further rays](Settings::has_further_rays) a second reflectance rgb and a second gloss
+    /// rgb follow. The first ones are means over all rays of the pixel, the second ones means over
+    /// the rays that continue as paths.
     values: Tensor<3>,
 }
 
-/// A view whose diffuse and other light are separate, with data of the surfaces that its paths hit
+/// A view whose diffuse and other light are separate, with data of the surfaces that its rays hit
 /// first.
 #[derive(Clone, Debug)]
 pub struct GuidedSplit {
@@ -47,7 +47,7 @@ pub struct GuidedSplit {
     /// Variance of every mean of the whole light, `[row][col][rgb]`; NaN if fewer than two samples
     /// are finite numbers.
     pub variance: Tensor<3>,
-    /// Data of the surfaces that the view's paths hit first.
+    /// Data of the surfaces that the view's rays hit first.
     pub features: Features,
 }
 
@@ -107,6 +107,10 @@ fn fraction(packed: u8) -> f32 {
 impl SplitView {
     /// Number of values per pixel without [further rays](Settings::has_further_rays).
     pub const VALUES: usize = PARTS;
+    /// Range of a pixel's normal and depth among its values. They are 0 if no surface is seen.
+    pub const SURFACE: std::ops::Range<usize> = NORMAL..Z + 1;
+    /// Index of a pixel's alpha among its values.
+    pub const ALPHA: usize = ALPHA;
 
     /// Returns the number of values per pixel of views with these settings.
     pub fn values_of(settings: &Settings) -> usize {
@@ -121,10 +125,10 @@ impl SplitView {
 
     /// Returns `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm, gloss rgb,
     /// alpha]`. Light is radiance, normals are in display space, z is in millimetres. The gloss is
-    /// the reflectance of the lobes that depend on the viewer's direction. The squared roughness of
-    /// the sharpest of these lobes is alpha; it is 0 for glass and for light that rays themselves
-    /// see. With [further rays](Settings::has_further_rays) a second reflectance rgb and a second
-    /// gloss rgb follow. Like the light, they are means over the paths alone.
+    /// the reflectance of the base's lobes that depend on the viewer's direction. The smaller
+    /// squared roughness of base and coat is alpha; it is 0 for glass and for light that rays
+    /// themselves see. With [further rays](Settings::has_further_rays) a second reflectance rgb and
+    /// a second gloss rgb follow. Like the light, they are means over the paths alone.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
@@ -261,7 +265,7 @@ impl Renderer {
 
     /// Renders like [`render_split`](Self::render_split). Like
     /// [`render_view_and_features`](Self::render_view_and_features), it also returns the variance
-    /// of every mean and data of the first surfaces of all paths.
+    /// of every mean and data of the first surfaces of all rays.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).

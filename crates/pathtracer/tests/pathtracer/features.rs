@@ -139,6 +139,26 @@ fn surfaces_come_with_the_light_at_no_change_of_it() {
     }
 }
 
+/// The misses of a split view with further rays are those of all its rays.
+#[test]
+fn misses_include_further_rays() {
+    let (collector, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&collector, &cancel);
+    let (renderer, geometry) = (mixture().renderer(), one_view(24, [0.2, 0.1]));
+    for (samples, further_rays) in [(1, 1), (2, 3), (1, 20)] {
+        let settings = Settings { samples, further_rays, seed: 7, ..Settings::default() };
+        let missed = renderer.render_misses(&window(), &geometry, [0, 0], &settings, task).unwrap();
+        let parts = renderer.render_split_and_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
+        let mut partial = 0;
+        for (number, missed) in missed.data().iter().enumerate() {
+            let covered = parts.features.at(number / 24, number % 24).covered;
+            assert!((covered + missed - 1.0).abs() < 1e-6, "{samples} {further_rays}, {number}: {covered} {missed}");
+            partial += usize::from(*missed > 0.0 && *missed < 1.0);
+        }
+        assert!(partial > 0);
+    }
+}
+
 /// Two renders with half of the samples each give the guides of all samples.
 #[test]
 fn guides_of_halves_are_joined() {

@@ -22,12 +22,6 @@ use crate::stage::fields::{FieldJob, Shot};
 /// Number of paths per pixel that measure the fraction of the pixel in which the background is
 /// visible.
 const MISSED_SAMPLES: u32 = 4;
-/// Range of a pixel's values in a [`SplitView`] that are the hit surface's normal (three values)
-/// and depth (one value). These values are 0 without a hit.
-const SURFACE: std::ops::Range<usize> = 9..13;
-/// Index of a pixel's alpha in a [`SplitView`]. The smallest alpha counts, since light of glass and
-/// of mirrors cannot be shared.
-const ALPHA: usize = SplitView::VALUES - 1;
 
 /// Views in progress.
 pub(super) struct Progressive {
@@ -174,23 +168,24 @@ impl View {
 }
 
 /// Averages the values of two renders of a view. The render `new` has the weight `share`. If only
-/// one of the renders hits a surface at a pixel, the normal and depth of this render are kept.
+/// one of the renders hits a surface at a pixel, the normal and depth of this render are kept. The
+/// smaller alpha is kept, since light of glass and of mirrors cannot be shared.
 fn mean(before: SplitView, new: &SplitView, share: f32) -> SplitView {
     let mut values: Tensor<3> = before.values().clone();
     let parts = values.shape()[2];
     let pixels = values.data_mut().chunks_exact_mut(parts).zip(new.values().data().chunks_exact(parts));
     for (old, new) in pixels {
-        let is_there = |pixel: &[f32]| pixel[SURFACE].iter().any(|value| *value != 0.0);
+        let is_there = |pixel: &[f32]| pixel[SplitView::SURFACE].iter().any(|value| *value != 0.0);
         let of_surface = match (is_there(old), is_there(new)) {
             (false, true) => 1.0,
             (_, false) => 0.0,
             (true, true) => share,
         };
-        let alpha = old[ALPHA].min(new[ALPHA]);
+        let alpha = old[SplitView::ALPHA].min(new[SplitView::ALPHA]);
         for (i, (old, new)) in old.iter_mut().zip(new).enumerate() {
-            *old += if SURFACE.contains(&i) { of_surface } else { share } * (new - *old);
+            *old += if SplitView::SURFACE.contains(&i) { of_surface } else { share } * (new - *old);
         }
-        old[ALPHA] = alpha;
+        old[SplitView::ALPHA] = alpha;
     }
     SplitView::from_values(values).unwrap_or(before)
 }

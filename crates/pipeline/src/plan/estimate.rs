@@ -503,7 +503,7 @@ const FURTHER_TIMES: f64 = 1.8;
 const FURTHER_RAY_TIMES: f64 = 0.17;
 /// Largest number of values per pixel of a view while the view gets further paths. These are the
 /// values of its first paths, of the further paths, and of all paths together.
-const FURTHER_VALUES: f64 = 64.0;
+const FURTHER_VALUES: f64 = 80.0;
 
 /// Returns an upper bound of the memory of a job's run, and an estimate of the disk space of one
 /// light field and its display, bytes. `None` if the display or the light field cannot be read. See

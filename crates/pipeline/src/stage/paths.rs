@@ -35,15 +35,17 @@ pub(crate) struct Samples {
 }
 
 impl Samples {
-    pub(crate) fn new(noise: f64, error: f64, views: usize) -> Self {
+    /// Chooses the number of paths for `views` views. `shares` is true if the views share light;
+    /// otherwise further rays are not possible.
+    pub(crate) fn new(noise: f64, error: f64, views: usize, shares: bool) -> Self {
         let needed = noise / (NOISE_SHARE * error.max(LEAST_ERROR));
         let most = ((MOST_PATHS / views.max(1)) as u32).max(1);
-        let enough = match FURTHER_NOISE * needed <= 1.0 {
+        let enough = match needed <= 1.0 || shares && FURTHER_NOISE * needed <= 1.0 {
             true => Some(1),
             false => CHOICES.into_iter().find(|&choice| f64::from(choice) >= needed),
         };
         let per_view = enough.unwrap_or(CHOICES[CHOICES.len() - 1]).min(most);
-        let further_rays = u32::from(per_view == 1 && needed > 1.0);
+        let further_rays = u32::from(shares && per_view == 1 && needed > 1.0);
         Self { per_view, further_rays, noise, error, limited: enough.is_none_or(|enough| enough > most) }
     }
 
@@ -69,7 +71,7 @@ mod tests {
 
     #[test]
     fn paths_follow_from_noise_and_error_within_limits() {
-        let choose = |noise, error, views| Samples::new(noise, error, views);
+        let choose = |noise, error, views| Samples::new(noise, error, views, true);
         // Without noise one path is enough, for any error of the display.
         assert_eq!((choose(0.0, 1e-3, 169).per_view, choose(0.0, 0.0, 169).limited), (1, false));
         // The equation n = V / (η D) of `samples.rs` gives 4.9 paths, which is rounded up to the
@@ -81,6 +83,9 @@ mod tests {
             [1.0, 1.1, 1.9, 2.1].map(|n| (of(n).per_view, of(n).further_rays)),
             [(1, 0), (1, 1), (1, 1), (3, 0)]
         );
+        // Views that share no light have no further rays.
+        let alone = Samples::new(1.9 * NOISE_SHARE * 2e-3, 2e-3, 169, false);
+        assert_eq!((alone.per_view, alone.further_rays), (2, 0));
         // A display that is regarded as exact needs the paths of the error [`LEAST_ERROR`], and not
         // more.
         assert_eq!(choose(2.9 * NOISE_SHARE * LEAST_ERROR, -1e-7, 169).per_view, 3);

@@ -171,7 +171,8 @@ fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) 
     task.progress.end();
     let all = measured?.into_iter().fold(Sums::default(), Sums::merged);
     let count = all.count.max(1.0);
-    Ok(Samples::new(all.noise / count, all.error / count, geometry.grid.iter().count()))
+    let shares = shot.denoise() == Denoise::Shared;
+    Ok(Samples::new(all.noise / count, all.error / count, geometry.grid.iter().count(), shares))
 }
 
 /// Sums of noise and error over the values of the seen pictures.

@@ -49,8 +49,8 @@ unsafe extern "C" fn read_asset(
     bytes: *const ByteSink,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: the plugin returns the context of `import`: a reference that is valid until `import`
-    // returns. The plugin also lends text and sink.
+    // SAFETY: the plugin passes on the context of `import`: a reference that is valid until
+    // `import` returns. The plugin also lends text and sink.
     unsafe {
         answer(error, || {
             let read = *context.cast::<&ReadAsset<'_>>();
@@ -199,7 +199,7 @@ impl<T> Builder<T> {
 
 unsafe extern "C" fn field_geometry(context: *mut c_void, geometry_json: Str, error: *const ErrorSink) -> Status {
     let take = || {
-        // SAFETY: the plugin returns the sink's context and lends the text.
+        // SAFETY: the plugin passes the sink's context on unchanged, and lends the text.
         let (mut field, text) = unsafe { (Builder::<Field>::of(context), lent_text(geometry_json, "geometry")?) };
         if field.made.is_some() {
             return Err(PluginError::Refused("the geometry was already given".into()));
@@ -358,7 +358,7 @@ unsafe extern "C" fn stack_step(
 
 unsafe extern "C" fn stack_solution(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status {
     let take = || {
-        // SAFETY: the plugin returns the sink's context, and lends the text.
+        // SAFETY: the plugin passes the sink's context on unchanged, and lends the text.
         let (mut built, text) = unsafe { (Builder::<Stack>::of(context), lent_text(solution_json, "solution")?) };
         let told = serde_json::from_str(text).map_err(|error| PluginError::failed("solution", error))?;
         if built.made.solution.replace(told).is_some() {

@@ -267,7 +267,7 @@ impl Default for RenderJob {
 
 impl RenderJob {
     /// Bytes of memory per ray by which a light field is held in memory or not. It is more than a
-    /// ray needs: 22 while light is shared, and two copies of three channels as `f32` while
+    /// ray needs: 28 while light is shared, and two copies of three channels as `f32` while
     /// patterns are solved.
     pub const BYTES_PER_RAY: u64 = 32;
     /// Greatest number of rays for which a display chooses its views: 625 views of 840 × 525

@@ -268,8 +268,8 @@ impl Gpu {
         pass.set_pipeline(&self.pipeline);
         for (viewport, picture) in viewports {
             let [x, y] = viewport.origin;
-            // The surface may have shrunk since the frame was encoded, so limit the viewport to the
-            // target.
+            // The surface may have shrunk since the pictures were made, so limit the viewport to
+            // the target.
             let (width, height) = (target.width().saturating_sub(x), target.height().saturating_sub(y));
             if width == 0 || height == 0 {
                 continue;
