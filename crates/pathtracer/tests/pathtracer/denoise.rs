@@ -144,8 +144,6 @@ fn parts_add_up_to_the_view() {
 /// Light that the views of a room share lowers the error of every view; means and edges are kept.
 #[test]
 fn shared_light_has_the_samples_of_all_views() {
-    let (collector, cancel) = (Collector::default(), Cancel::default());
-    let task = Task::quiet(&collector, &cancel);
     let renderer = room();
     let grid = ViewGrid::uniform(Projection::Oblique, [7, 5], [12.0, 8.0]).unwrap();
     let geometry = geometry().with_grid(grid);
@@ -155,16 +153,10 @@ fn shared_light_has_the_samples_of_all_views() {
     let (mut before, mut after) = (0.0, 0.0);
     for number in [0, 17, 34] {
         let (view, picture) = (views[number], &shared[number]);
-        let [a, b] = [11, 12].map(|seed| {
-            let settings = Settings { samples: 256, seed, ..Settings::default() };
-            renderer.render_view(&window(), &geometry, view, &settings, task).unwrap()
-        });
-        let error = |picture: &Tensor<3>| {
-            let pixels = picture.data().iter().zip(a.data()).zip(b.data());
-            pixels.map(|((f, a), b)| f64::from(f - a) * f64::from(f - b)).sum::<f64>() / a.data().len() as f64
-        };
-        before += error(&splits[number].radiance());
-        after += error(picture);
+        let references = references(&renderer, &geometry, view);
+        before += error(&splits[number].radiance(), &references);
+        after += error(picture, &references);
+        let [a, b] = references;
         let truth = 0.5 * (mean(&a) + mean(&b));
         assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
         if view == [2, 3] {
@@ -182,6 +174,21 @@ fn shared_light_has_the_samples_of_all_views() {
     let alone = geometry.with_grid(ViewGrid::single(Projection::Oblique, [0.0; 2]));
     let (splits, same) = split_and_shared(&renderer, &alone, &settings);
     assert!(same[0] == splits[0].radiance());
+}
+
+/// Renders a view twice with many samples and independent noise.
+fn references(renderer: &Renderer, geometry: &FieldGeometry, view: [usize; 2]) -> [Tensor<3>; 2] {
+    let (collector, cancel) = (Collector::default(), Cancel::default());
+    [11, 12].map(|seed| {
+        let settings = Settings { samples: 256, seed, ..Settings::default() };
+        renderer.render_view(&window(), geometry, view, &settings, Task::quiet(&collector, &cancel)).unwrap()
+    })
+}
+
+/// Returns the mean squared error of a picture, without the noise of the two references.
+fn error(picture: &Tensor<3>, [a, b]: &[Tensor<3>; 2]) -> f64 {
+    let pixels = picture.data().iter().zip(a.data()).zip(b.data());
+    pixels.map(|((f, a), b)| f64::from(f - a) * f64::from(f - b)).sum::<f64>() / a.data().len() as f64
 }
 
 /// Renders all views of a grid, and shares their light. Returns the views before and after.
@@ -205,8 +212,6 @@ fn split_and_shared(
 /// glass and glowing surfaces stay as rendered.
 #[test]
 fn reflections_of_rough_metal_are_shared() {
-    let (collector, cancel) = (Collector::default(), Cancel::default());
-    let task = Task::quiet(&collector, &cancel);
     let grid = ViewGrid::uniform(Projection::Oblique, [7, 5], [12.0, 8.0]).unwrap();
     let geometry = geometry().with_grid(grid);
     let wall = |material: Material| {
@@ -223,16 +228,10 @@ fn reflections_of_rough_metal_are_shared() {
         let (splits, shared) = split_and_shared(&renderer, &geometry, &settings);
         for number in [0, 17, 34] {
             let view = geometry.grid.iter().nth(number).unwrap();
-            let [a, b] = [11, 12].map(|seed| {
-                let settings = Settings { samples: 256, seed, ..Settings::default() };
-                renderer.render_view(&window(), &geometry, view, &settings, task).unwrap()
-            });
-            let error = |picture: &Tensor<3>| {
-                let pixels = picture.data().iter().zip(a.data()).zip(b.data());
-                pixels.map(|((f, a), b)| f64::from(f - a) * f64::from(f - b)).sum::<f64>() / a.data().len() as f64
-            };
-            let [before, after] = [error(&splits[number].radiance()), error(&shared[number])];
-            let [found, truth] = [mean(&shared[number]), 0.5 * (mean(&a) + mean(&b))];
+            let references = references(&renderer, &geometry, view);
+            let [before, after] =
+                [&splits[number].radiance(), &shared[number]].map(|picture| error(picture, &references));
+            let [found, truth] = [mean(&shared[number]), 0.5 * references.iter().map(mean).sum::<f64>()];
             println!("{roughness} {number}: {before} {after}, {found} {truth}");
             assert!(after < 0.25 * before, "roughness {roughness}, view {number}: {before} {after}");
             // at the rim of the zone, views on one side are missing in the average
@@ -254,8 +253,6 @@ fn reflections_of_rough_metal_are_shared() {
 /// of the wall from view to view.
 #[test]
 fn further_paths_do_no_harm_where_views_share_no_light() {
-    let (collector, cancel) = (Collector::default(), Cancel::default());
-    let task = Task::quiet(&collector, &cancel);
     const POLE_X: [f32; 2] = [-0.13, 0.12];
     const MIRROR_X: [f32; 2] = [-0.41, 0.42];
     const POLE_Z: f32 = 0.6;
@@ -291,14 +288,10 @@ fn further_paths_do_no_harm_where_views_share_no_light() {
     // mean squared error, and the largest error of the mean of a column, over all views
     let errors = |further_paths: bool, shares: bool| -> [f64; 2] {
         let settings = Settings { samples: 4, seed: 5, further_paths, ..Settings::default() };
-        let split = |view| renderer.render_split(&window(), &geometry, view, &settings, task).unwrap();
-        let splits: Vec<SplitView> = geometry.grid.iter().map(split).collect();
-        let mut light = SharedLight::new(&geometry, settings.samples);
-        splits.iter().for_each(|split| light.add(split));
-        let mean = light.averaged(task).unwrap();
+        let (splits, shared) = split_and_shared(&renderer, &geometry, &settings);
         let (mut squares, mut worst) = (0.0, 0.0f64);
         for (number, view) in geometry.grid.iter().enumerate() {
-            let picture = if shares { mean.on(number, &splits[number]) } else { splits[number].radiance() };
+            let picture = if shares { shared[number].clone() } else { splits[number].radiance() };
             for col in 0..SIZE {
                 let truth = truth(view, col);
                 let error = |row: usize| f64::from(picture.get([row, col, 0])) - truth;
