@@ -43,6 +43,8 @@ mod renderer;
 mod sampler;
 mod settings;
 mod shading;
+mod sparse;
+mod surface;
 mod texture;
 mod tracer;
 

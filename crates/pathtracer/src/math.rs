@@ -53,6 +53,22 @@ pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     if across { (along, aside) } else { (aside, along) }
 }
 
+/// Returns a number whose `count` lowest bits are set.
+#[inline]
+pub(crate) fn all_ones(count: usize) -> u32 {
+    (1 << count) - 1
+}
+
+/// Returns the indices of the bits that are set.
+#[inline]
+pub(crate) fn ones(mut bits: u32) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let place = bits.trailing_zeros();
+        bits &= bits.wrapping_sub(1);
+        (place < u32::BITS).then_some(place as usize)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

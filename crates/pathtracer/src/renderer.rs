@@ -18,7 +18,9 @@ use crate::light::Lights;
 use crate::primary::PrimaryRays;
 use crate::settings::{AngularFilter, Settings, SettingsError};
 use crate::shading::Materials;
-use crate::tracer::{First, Tracer, traits};
+use crate::sparse::{pixels_of_group, whole_groups};
+use crate::surface::First;
+use crate::tracer::{Tracer, traits};
 
 mod beams;
 mod checks;
@@ -28,6 +30,7 @@ mod first;
 mod further;
 mod misses;
 mod split;
+mod sums;
 
 use beams::{ViewSamples, place_in_pixel};
 #[cfg(test)]
@@ -38,6 +41,7 @@ pub use features::{Feature, Features, GuidedView};
 pub(crate) use first::FEATURES;
 use first::{DisplayAxes, FirstSums};
 pub use split::{GuidedSplit, SplitView};
+use sums::{LightSums, PixelMean};
 
 /// Edge of a tile in pixels. A tile is the unit of work and of progress.
 const TILE: usize = 16;
@@ -97,17 +101,6 @@ pub struct Memory {
     pub scene_bytes: usize,
     /// Number of bytes of the textures' coarser levels: about a third of the bytes of the images.
     pub texture_bytes: usize,
-}
-
-/// Statistics of the samples of a pixel.
-struct PixelMean {
-    /// Mean radiance.
-    mean: Vec3,
-    /// Variance of the mean, as if samples were independent; NaN if fewer than two samples are
-    /// finite numbers.
-    variance: Vec3,
-    /// Number of samples that are not finite numbers.
-    not_finite: u32,
 }
 
 /// A scene or a view that cannot be rendered, or a cancelled render.
@@ -272,6 +265,7 @@ impl Renderer {
         // With few samples per pixel, several pixels share a beam. Compared with a beam per pixel,
         // renders of still-life with 1, 2, 3 and 4 samples take 16, 9, 7 and 6 % less time.
         let most = (BEAM / count[1] as usize).max(1);
+        let most = if settings.sparse_paths { whole_groups(most) } else { most };
         let filled = self.by_groups(geometry, task, ["row", "col", "rgb"], most, |pixels, buffers, filled| {
             let seed = |at| samples.pixel_seed(at);
             self.pixels::<FIRST>(&samples, pixels, seed, count, settings, &clamped, buffers, |pixel, first| {
@@ -402,15 +396,16 @@ impl Renderer {
         let tracer = self.tracer();
         let Buffers { stack, sums } = buffers;
         sums.clear();
-        sums.resize_with(pixels.len(), PixelSums::default);
+        sums.resize_with(pixels.len(), Default::default);
         // trace beam by beam, and add each ray to the sums of its pixel
         samples.for_each_beam_of(pixels, seed, rays_of_pixel, |beam, draws| {
-            let (paths, each, in_bounds) = (beam.paths, beam.each, beam.in_bounds);
+            let (paths, sparse, each, in_bounds) = (beam.paths, beam.sparse, beam.each, beam.in_bounds);
             let (rays, cones) = beam.parts();
             let mut first = [First::default(); BEAM];
             let radiance = tracer.radiance::<FIRST>(
                 rays,
                 paths,
+                sparse,
                 cones,
                 in_bounds,
                 settings,
@@ -418,19 +413,16 @@ impl Renderer {
                 stack,
                 if FIRST { &mut first } else { &mut [] },
             );
-            for (sums, at) in sums.iter_mut().zip((0..).step_by(each)) {
-                let mut light = sums.light;
+            for ((of_first, of_light), at) in sums.iter_mut().zip((0..).step_by(each)) {
+                let mut light = *of_light;
                 for (index, &traced) in radiance.iter().enumerate().skip(at).take(each) {
-                    let is_path = paths & (1 << index) != 0;
+                    let is_path = if FIRST { first[index].is_path } else { paths & (1 << index) != 0 };
                     if FIRST {
                         let first = &mut first[index];
                         if let Some(limit) = settings.clamp {
                             first.seen *= (limit / first.seen.max_element()).min(1.0);
                         }
-                        sums.first.add(first, place_in_pixel(draws, index), &samples.axes);
-                        if is_path {
-                            sums.first.add_path(first);
-                        }
+                        of_first.add(first, place_in_pixel(draws, index), &samples.axes);
                     }
                     if !is_path {
                         continue;
@@ -441,16 +433,19 @@ impl Renderer {
                         // `Settings::clamp` may have dimmed the sample; dim its diffuse light by
                         // the same factor
                         let kept = if sample == traced { 1.0 } else { sample.max_element() / traced.max_element() };
-                        sums.first.add_diffuse(kept * first[index].diffuse);
+                        of_first.add_diffuse(kept * first[index].diffuse);
                     }
                 }
-                sums.light = light;
+                *of_light = light;
             }
         });
+        if FIRST && settings.has_sparse_paths() {
+            let [paths, rays] = rays_of_pixel.map(|count| count as usize);
+            sums.chunks_exact_mut(pixels_of_group(rays, paths)).for_each(FirstSums::lend);
+        }
         // pass the means to `take`; normals are converted to display space once per pixel
-        for sums in sums.drain(..) {
-            let pixel = sums.light.mean(rays_of_pixel[0]);
-            take(&pixel, &if FIRST { sums.first.turned(&samples.axes) } else { sums.first });
+        for (first, light) in sums.drain(..) {
+            take(&light.mean(), &if FIRST { first.turned(&samples.axes) } else { first });
         }
     }
 
@@ -510,56 +505,8 @@ impl Renderer {
 /// Memory that a tile uses again for each group of its pixels.
 struct Buffers {
     stack: Stack,
-    sums: Vec<PixelSums>,
-}
-
-/// Sums over the samples of a pixel.
-#[derive(Default)]
-struct PixelSums {
-    light: LightSums,
-    first: FirstSums,
-}
-
-/// Sums over the light of a pixel's paths. They are in double precision, since the variance is a
-/// small difference of large sums.
-#[derive(Clone, Copy, Default)]
-struct LightSums {
-    sum: [f64; 3],
-    squares: [f64; 3],
-    not_finite: u32,
-}
-
-impl LightSums {
-    /// Adds the radiance of a path, if it is a finite number; returns true if it is.
-    #[inline]
-    fn add(&mut self, sample: Vec3) -> bool {
-        if !sample.is_finite() {
-            self.not_finite += 1;
-            return false;
-        }
-        for (c, value) in sample.to_array().map(f64::from).into_iter().enumerate() {
-            self.sum[c] += value;
-            self.squares[c] += value * value;
-        }
-        true
-    }
-
-    /// Returns the mean over the paths with finite light, and the variance of this mean. `paths` is
-    /// the number of all paths.
-    fn mean(&self, paths: u32) -> PixelMean {
-        let finite = paths - self.not_finite;
-        let count = f64::from(finite.max(1));
-        let variance = |c: usize| match finite {
-            0 | 1 => f32::NAN,
-            // for equal samples, rounding may give a difference slightly below 0
-            _ => ((self.squares[c] - self.sum[c] * self.sum[c] / count).max(0.0) / (count * (count - 1.0))) as f32,
-        };
-        PixelMean {
-            mean: Vec3::from_array(self.sum.map(|s| (s / count) as f32)),
-            variance: Vec3::from_array([0, 1, 2].map(variance)),
-            not_finite: self.not_finite,
-        }
-    }
+    /// For each pixel, sums over its rays and over its paths.
+    sums: Vec<(FirstSums, LightSums)>,
 }
 
 /// Extracts the radiance from the values of a pixel: the first three values.

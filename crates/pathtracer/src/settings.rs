@@ -2,6 +2,11 @@
 
 use thiserror::Error;
 
+use crate::bvh::BEAM;
+
+/// With sparse paths, one path of this number continues on smooth surfaces.
+pub(crate) const FEWER: u32 = 4;
+
 /// Quality and reproducibility of a render.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
@@ -18,6 +23,12 @@ pub struct Settings {
     /// setting is for views that are seen one by one. Functions that render no split view ignore
     /// it. Default false. On wasm32 it has no effect, since pages would load its code without need.
     pub further_paths: bool,
+    /// Gives a [split view](crate::Renderer::render_split) only a quarter of its paths where it
+    /// sees smooth surfaces whose light other views share. The other rays end at the first surface.
+    /// This setting is for views whose light is averaged over hundreds of views. Pixels with more
+    /// than 16 rays keep all paths. Functions that render no split view ignore this setting.
+    /// Default false.
+    pub sparse_paths: bool,
     /// Largest number of scattering events of a path, 0..=1024. The event at the first hit is
     /// included, so 0 shows emission only. Longer paths are cut off. Without [`clamp`](Self::clamp)
     /// this is the renderer's only systematic error. Default 8.
@@ -76,11 +87,22 @@ impl Settings {
 
     /// Returns true if some pixels of a split view have more rays than paths.
     pub fn has_further_rays(&self) -> bool {
-        self.further_rays > 0 || self.has_further_paths()
+        self.further_rays > 0 || self.sparse_paths || self.has_further_paths()
+    }
+
+    /// Returns true if pixels on smooth surfaces have fewer paths. The rays of a pixel with more
+    /// than [`BEAM`] rays are in several beams, which do not know of each other.
+    pub(crate) fn has_sparse_paths(&self) -> bool {
+        self.sparse_paths && self.rays()[1] <= BEAM as u32
+    }
+
+    /// Returns the number of paths of a pixel on a smooth surface.
+    pub(crate) fn paths_on_surface(&self) -> u32 {
+        if self.has_sparse_paths() { self.samples.div_ceil(FEWER) } else { self.samples }
     }
 
     /// Returns the number of paths and the number of all rays of a pixel of a split view. Pixels
-    /// with further paths have more.
+    /// with further paths have more; with sparse paths, some have fewer paths.
     pub(crate) fn rays(&self) -> [u32; 2] {
         [self.samples, self.samples + self.further_rays]
     }
@@ -92,6 +114,7 @@ impl Default for Settings {
             samples: 32,
             further_rays: 0,
             further_paths: false,
+            sparse_paths: false,
             max_bounces: 8,
             roulette_start: 3,
             seed: 0,

@@ -45,9 +45,12 @@ use crate::bvh::{ALPHA, BEAM, Bvh, Hit, Ray, Stack, TINT};
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::lambert::{Lambert, is_lambertian};
 use crate::light::{Lights, Receiver};
+use crate::math::{all_ones, ones};
 use crate::sampler::{Draws, Pair};
 use crate::settings::Settings;
 use crate::shading::Materials;
+use crate::sparse::{SparsePaths, are_on_a_plane, is_one_surface};
+use crate::surface::{First, Gloss, Guide};
 
 /// Number of pairs of random numbers for a primary ray. The first pair chooses the position in the
 /// pixel, the second pair the slope within the angular filter.
@@ -69,8 +72,6 @@ const MOST_SURVIVAL: f32 = 0.95;
 /// Smallest spread of a ray's footprint after a scattering event at a lobe with α = 1, as a
 /// fraction of the distance. For other lobes it is multiplied by α.
 const SCATTER_SPREAD: f32 = 0.1;
-/// Approximate reflectance of a dielectric at normal incidence.
-const DIELECTRIC_SHARE: f32 = 0.04;
 
 /// Footprint of a ray: `width + spread · t`, in render space (Akenine-Möller et al. 2019, "Texture
 /// level of detail strategies").
@@ -78,6 +79,12 @@ const DIELECTRIC_SHARE: f32 = 0.04;
 pub(crate) struct Cone {
     pub(crate) width: f32,
     pub(crate) spread: f32,
+}
+
+impl Cone {
+    fn width_at(self, t: f32) -> f32 {
+        self.width + self.spread * t
+    }
 }
 
 /// Marks a material that scatters by Lambert's law alone, see [`is_lambertian`].
@@ -140,49 +147,6 @@ struct Path {
     diffuse: Vec3,
 }
 
-/// The first surface of a path, and the light that it scatters alike to all viewers.
-#[derive(Clone, Copy, Default)]
-pub(crate) struct First {
-    /// True if the ray hits a surface.
-    pub(crate) is_there: bool,
-    /// Radiance that the ray itself sees: emission of the surface, or the background if there is no
-    /// surface.
-    pub(crate) seen: Vec3,
-    /// Radiance that the surface scatters by Lambert's law.
-    pub(crate) diffuse: Vec3,
-    /// Reflectance of the diffuse lobe.
-    pub(crate) reflectance: Vec3,
-    pub(crate) gloss: Gloss,
-    /// Position of the surface in render space.
-    pub(crate) position: Vec3,
-    /// Geometric normal of the surface on the viewer's side.
-    pub(crate) normal: Vec3,
-    pub(crate) guide: Guide,
-}
-
-/// The reflection of a surface that depends on the viewer's direction.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Gloss {
-    /// Approximate reflectance of the base at normal incidence.
-    pub(crate) reflectance: Vec3,
-    /// The smaller squared roughness of base and coat. Over this angle, the reflection stays about
-    /// the same. It is 0 for glass, at whose points other views see other light.
-    pub(crate) alpha: f32,
-}
-
-/// Properties of a surface by which a filter recognizes where light may differ.
-#[derive(Clone, Copy, Default)]
-pub(crate) struct Guide {
-    /// Reflectance, 0..1: base colour plus the few percent that a dielectric reflects.
-    pub(crate) albedo: Vec3,
-    /// Shading normal on the viewer's side, in render space.
-    pub(crate) normal: Vec3,
-    /// Fraction of the reflectance that depends on the viewer's direction, 0..1.
-    pub(crate) gloss: f32,
-    /// Squared roughness of the lobe that depends on the viewer's direction.
-    pub(crate) alpha: f32,
-}
-
 /// Unshadowed contributions of sampled lights, for `count` paths.
 struct Shadows {
     count: usize,
@@ -209,12 +173,14 @@ impl Tracer<'_> {
     /// cone. `draws` has the random numbers of all rays. If `in_bounds` is false, the rays hit
     /// nothing. The call overwrites `rays`. A ray whose bit is set in `paths_of_rays` continues as
     /// a path; the others end at their first surface. If `FIRST` is true, the first surface of
-    /// every ray is written to `first`, which needs an element per ray. The radiance is the same
-    /// for both values of `FIRST`, bit for bit.
+    /// every ray is written to `first`, which needs an element per ray. Then `sparse` may end more
+    /// rays. For the paths that continue, the radiance is the same for both values of `FIRST`, bit
+    /// for bit.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],
-        paths_of_rays: u32,
+        mut paths_of_rays: u32,
+        sparse: Option<SparsePaths>,
         cones: &[Cone],
         in_bounds: bool,
         settings: &Settings,
@@ -226,7 +192,10 @@ impl Tracer<'_> {
         self.first_hits(rays, in_bounds, draws, stack, &mut hits);
         hits.iter().flatten().for_each(|hit| self.geometry.prefetch(hit.triangle));
         if FIRST {
-            for index in ones(!paths_of_rays & all_ones(rays.len())) {
+            let known = sparse.map_or(0, |sparse| {
+                self.end_paths(sparse, rays, &hits, cones, settings, draws, &mut paths_of_rays, first)
+            });
+            for index in ones(!(known | paths_of_rays) & all_ones(rays.len())) {
                 first[index] = self.seen(&rays[index], hits[index].as_ref(), cones[index], settings, draws);
             }
         }
@@ -290,7 +259,7 @@ impl Tracer<'_> {
                     }
                 };
                 if FIRST && bounce == 0 {
-                    first[index].seen = path.radiance;
+                    (first[index].seen, first[index].is_path) = (path.radiance, true);
                 }
                 if FIRST && bounce > 0 {
                     // the light is multiplied by the fraction that the path's first surface
@@ -325,6 +294,42 @@ impl Tracer<'_> {
             }
         }
         paths.map(|path| path.radiance)
+    }
+
+    /// Ends paths at their first surfaces in groups of rays that see one surface. Removes their
+    /// bits from `paths`. Returns the bits of the rays whose first surface is written to `first`.
+    fn end_paths(
+        &self,
+        sparse: SparsePaths,
+        rays: &[Ray],
+        hits: &[Option<Hit>; BEAM],
+        cones: &[Cone],
+        settings: &Settings,
+        draws: &Draws<'_>,
+        paths: &mut u32,
+        first: &mut [First],
+    ) -> u32 {
+        let mut known = 0;
+        for group in sparse.groups(rays.len()) {
+            // Most groups at edges are recognized by their points, before textures are read.
+            let Some(hit) = &hits[group.start] else { continue };
+            let width = cones[group.start].width_at(hit.t);
+            let point = |hit: &Hit| {
+                let point = self.geometry.hit_point(hit);
+                (point.position, point.geometric_normal)
+            };
+            if !are_on_a_plane(hits[group.clone()].iter().map(|hit| hit.as_ref().map(point)), width) {
+                continue;
+            }
+            for index in group.clone() {
+                first[index] = self.seen(&rays[index], hits[index].as_ref(), cones[index], settings, draws);
+                known |= 1 << index;
+            }
+            if is_one_surface(&first[group.clone()]) {
+                *paths = sparse.fewer(*paths, group);
+            }
+        }
+        known
     }
 
     /// Returns the first surface of every ray, as [`radiance`](Self::radiance) finds it. Its light
@@ -559,7 +564,7 @@ impl Tracer<'_> {
             material: self.geometry.material_index(hit.triangle),
             front: hit.front,
             normal,
-            width: cone.width + cone.spread * hit.t,
+            width: cone.width_at(hit.t),
             point,
         }
     }
@@ -728,44 +733,6 @@ impl Surface {
     }
 }
 
-impl Guide {
-    fn new(appearance: &Appearance, normal: Vec3) -> Self {
-        let Appearance { base, metallic, roughness, transmission, .. } = *appearance;
-        let dielectric = 1.0 - metallic;
-        Self {
-            albedo: base.lerp(Vec3::ONE, DIELECTRIC_SHARE * dielectric),
-            normal,
-            gloss: metallic + dielectric * DIELECTRIC_SHARE.max(transmission),
-            alpha: roughness * roughness,
-        }
-    }
-
-    fn of_lambert(lambert: &Lambert) -> Self {
-        Self { albedo: lambert.albedo(), normal: lambert.normal(), gloss: 0.0, alpha: 1.0 }
-    }
-}
-
-impl Gloss {
-    /// The gloss of a surface that only scatters by Lambert's law.
-    const NONE: Self = Self { reflectance: Vec3::ZERO, alpha: 1.0 };
-
-    fn new(appearance: &Appearance) -> Self {
-        let Appearance { base, metallic, roughness, transmission, extras, .. } = appearance;
-        let coat = extras.as_ref().and_then(|extras| extras.layers.coat).filter(|coat| coat.factor > 0.0);
-        let sharpest = coat.map_or(*roughness, |coat| coat.roughness.min(*roughness));
-        Self {
-            reflectance: Vec3::splat(DIELECTRIC_SHARE).lerp(*base, *metallic),
-            alpha: if *transmission > 0.0 { 0.0 } else { sharpest * sharpest },
-        }
-    }
-}
-
-impl Default for Gloss {
-    fn default() -> Self {
-        Self::NONE
-    }
-}
-
 impl Vertex<'_> {
     /// Returns the data of the vertex as the first surface of a path.
     #[inline]
@@ -825,20 +792,4 @@ fn heuristic(ratio: f32) -> f32 {
 #[inline]
 fn ratio(other: f32, own: f32) -> f32 {
     if other == 0.0 { 0.0 } else { other / own }
-}
-
-/// Returns a number whose `count` lowest bits are set.
-#[inline]
-pub(crate) fn all_ones(count: usize) -> u32 {
-    (1 << count) - 1
-}
-
-/// Returns the indices of the bits that are set.
-#[inline]
-fn ones(mut bits: u32) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let place = bits.trailing_zeros();
-        bits &= bits.wrapping_sub(1);
-        (place < u32::BITS).then_some(place as usize)
-    })
 }

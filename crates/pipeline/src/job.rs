@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 use lumistack_core::config;
 use lumistack_display::{Display, LEAST_DIRECTIONS, Views};
 use lumistack_field_io::GeometryFlags;
+use lumistack_pathtracer::Settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -317,17 +318,9 @@ impl Job {
         }
     }
 
-    /// Returns true if noisy pixels of the views get [further
-    /// paths](lumistack_pathtracer::Settings::further_paths). Only fixed views that share light get
-    /// further paths, since users may look at each fixed view alone. If a display chooses its
-    /// views, the solver averages the noise that further paths would remove.
-    pub(crate) fn has_further_paths(&self, display: &Display) -> bool {
-        self.denoise_for(display) == Denoise::Shared && matches!(display.field.views, Views::Fixed(_))
-    }
-
-    /// Returns the number of further rays of a pixel, see [`RenderJob::further_rays`].
-    pub(crate) fn further_rays(&self, display: &Display, samples: u32) -> u32 {
-        RenderJob::further_rays(display, self.denoise_for(display), samples)
+    /// Adapts the settings of traced views, see [`RenderJob::split_settings`].
+    pub(crate) fn split_settings(&self, settings: Settings, display: &Display) -> Settings {
+        RenderJob::split_settings(settings, display, self.denoise_for(display))
     }
 
     /// Returns true if Blender may render the views, which takes minutes per view.
@@ -528,27 +521,26 @@ mod tests {
         assert_eq!(views("most_views = 9"), [3, 3]);
     }
 
+    /// Fixed views that share light have further paths. Chosen views that share light have sparse
+    /// paths and a further ray.
     #[test]
-    fn only_fixed_views_that_share_light_get_further_paths() {
-        let has = |display: &str, render: &str| {
-            let text = format!("[display]\npreset = \"paper-three-layer\"\n{display}\n[render]\n{render}");
+    fn views_that_share_light_have_more_or_fewer_paths() {
+        let of = |views: &str, render: &str| {
+            let text = format!("[display]\npreset = \"paper-three-layer\"\n{views}\n[render]\n{render}");
             let job = config::parse::<Job>(&text).ok().unwrap();
-            let given = job.has_further_paths(&job.display.resolve().unwrap());
-            let chosen = job.has_further_paths(&job.resolve_display().unwrap());
-            assert_eq!(given, chosen, "{text}");
-            given
+            let of = |display| job.split_settings(Settings { samples: 1, ..Settings::default() }, &display);
+            let given = of(job.display.resolve().unwrap());
+            assert_eq!(given, of(job.resolve_display().unwrap()), "{text}");
+            [given.further_paths, given.sparse_paths, given.further_rays == 1]
         };
-        let shared = "denoise = \"shared\"";
-        assert!(has("views = [5, 5]", shared));
-        for (views, render) in [
-            ("", ""),
-            ("", shared),
-            ("views = \"auto\"", shared),
-            ("views = { step = [0.07, 0.07] }", shared),
-            ("views = [5, 5]", ""),
-            ("views = [5, 5]", "denoise = \"guided\""),
-        ] {
-            assert!(!has(views, render), "{views} {render}");
+        let (shared, fixed) = ("denoise = \"shared\"", "views = [5, 5]");
+        assert_eq!(of(fixed, shared), [true, false, false]);
+        for chosen in ["", "views = \"auto\"", "views = { step = [0.07, 0.07] }"] {
+            assert_eq!(of(chosen, shared), [false, true, true], "{chosen}");
+        }
+        assert_eq!(of("", ""), [false, true, true]);
+        for (views, render) in [(fixed, ""), (fixed, "denoise = \"guided\""), ("", "denoise = \"off\"")] {
+            assert_eq!(of(views, render), [false; 3], "{views} {render}");
         }
     }
 

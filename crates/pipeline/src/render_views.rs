@@ -50,7 +50,7 @@ pub fn render_views(
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
     // Refuse wrong options before the scene is loaded, which may take minutes.
-    options.check(job, geometry.grid.iter().count())?;
+    options.check(job, &display, geometry.grid.iter().count())?;
     options.chosen(geometry.grid.views())?;
     // Run the stages. Held-out views and views outside the zone are not rendered, since only a
     // report needs them.
@@ -59,7 +59,7 @@ pub fn render_views(
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     let mut samples = samples::measured(&job, &ingested, &placement, &display, &cache, task)?;
-    let least = options.least_samples(job.render.denoise);
+    let least = options.least_samples(&job, &display);
     match &mut samples {
         Some(samples) => samples.per_view = samples.per_view.max(least),
         None if job.render.samples_of_view(geometry.grid.iter().count()) < least => job.render.samples = Some(least),

@@ -3,8 +3,11 @@
 
 use std::str::FromStr;
 
+use lumistack_display::Display;
+use lumistack_pathtracer::Settings;
+
 use crate::error::PipelineError;
-use crate::job::{Denoise, Engine, Job};
+use crate::job::{Engine, Job};
 
 /// Options of `render_views`.
 #[derive(Clone, Debug, Default)]
@@ -123,8 +126,9 @@ impl ViewOptions {
         self.channels.iter().any(|channel| *channel != ExtraChannel::Variance)
     }
 
-    /// Checks that a job with this number of views can write the selected views and channels.
-    pub(crate) fn check(&self, job: &Job, views: usize) -> Result<(), PipelineError> {
+    /// Checks that a job with this display and number of views can write the selected views and
+    /// channels.
+    pub(crate) fn check(&self, job: &Job, display: &Display, views: usize) -> Result<(), PipelineError> {
         let fail =
             |flag: &str, expected: &str, found: String| Err(PipelineError::value("render", flag, expected, found));
         let denoise = job.render.denoise;
@@ -137,7 +141,7 @@ impl ViewOptions {
                 return fail("--layers", "our path tracer for the layer `variance`", "`--engine blender`".into());
             }
             // A measured number of paths is not known yet; see `least_samples`.
-            let (least, samples) = (self.least_samples(denoise), job.render.samples_of_view(views));
+            let (least, samples) = (self.least_samples(job, display), job.render.samples_of_view(views));
             if samples < least && !job.render.samples_are_measured() {
                 let expected = format!("at least {least} paths per pixel and view for the layer `variance`");
                 return fail("--layers", &expected, samples.to_string());
@@ -147,12 +151,15 @@ impl ViewOptions {
     }
 
     /// Returns the smallest number of paths per pixel and view that the channels need. The variance
-    /// of a mean needs two paths, or three if the filter compares two halves of the paths.
-    pub(crate) fn least_samples(&self, denoise: Denoise) -> u32 {
-        match (self.variance(), denoise.takes_halves()) {
+    /// of a mean needs two paths, or three if the filter compares two halves of the paths. Sparse
+    /// paths are at least a quarter of all paths.
+    pub(crate) fn least_samples(&self, job: &Job, display: &Display) -> u32 {
+        let is_sparse = job.split_settings(Settings::default(), display).sparse_paths;
+        match (self.variance(), job.render.denoise.takes_halves()) {
             (false, _) => 1,
-            (true, false) => 2,
             (true, true) => 3,
+            (true, false) if is_sparse => 8,
+            (true, false) => 2,
         }
     }
 

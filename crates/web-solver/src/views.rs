@@ -115,7 +115,7 @@ impl Views {
         let samples = render.samples_of_view(count);
         let paths = render.settings(SEED, samples, false, placement.depth_scale, display.angular_footprint());
         let denoise = if held.scene.needs_paths() { Settings::denoise(display) } else { Denoise::Off };
-        let paths = Paths { further_rays: RenderJob::further_rays(display, denoise, samples), ..paths };
+        let paths = RenderJob::split_settings(paths, display, denoise);
         Ok(Self {
             denoise,
             held,
@@ -267,7 +267,8 @@ impl Views {
                 packed.filter_map(|bytes| SplitView::from_bytes(bytes, [traced.rows, traced.cols], &self.paths))
             };
             let shared = if self.denoise == Denoise::Shared {
-                let mut light = SharedLight::new(&traced, self.traced(detail).samples);
+                let mut light =
+                    SharedLight::new(&traced, &Paths { samples: self.traced(detail).samples, ..self.paths });
                 splits().for_each(|split| light.add(&split));
                 Some(light.averaged(task)?)
             } else {

@@ -213,7 +213,7 @@ impl Kind {
                 let settings = Settings { further_paths: self == Self::Further, ..settings };
                 let split = |view| renderer.render_split(&case.window, geometry, view, &settings, task);
                 let splits: Vec<_> = geometry.grid.iter().map(split).collect::<Result<_, _>>()?;
-                let mut light = SharedLight::new(geometry, settings.samples);
+                let mut light = SharedLight::new(geometry, &settings);
                 splits.iter().for_each(|split| light.add(split));
                 let mean = light.averaged(task)?;
                 Ok(splits.iter().enumerate().map(|(number, split)| mean.on(number, split)).collect())

@@ -1,5 +1,5 @@
-//! Light that neighbouring views see alike, averaged over all views that see the point from which
-//! the light comes.
+//! Light that neighbouring views see alike, averaged over the nearest views that see the point from
+//! which the light comes.
 //!
 //! ```text
 //! E = D / ρ_p        D: light that the first surface scatters by Lambert's law (see SplitView)
@@ -18,7 +18,8 @@
 //! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at
 //! p_u. It falls to 0 with the distance of u's point from the plane of p's point, and is 0 if the
 //! normals differ too much. Light from dark surfaces is noisy once it is divided by ρ_p; with the
-//! factor ρ_p it contributes little. Nothing is averaged over neighbouring pixels. But E is read at
+//! factor ρ_p it contributes little. Nothing is averaged over neighbouring pixels; only [sparse
+//! paths](crate::Settings::sparse_paths) serve several pixels. But E is read at
 //! the pixel nearest to p_u, which blurs shadows and bumps over a fraction of a pixel. So w also
 //! falls with the distance of p_u from this pixel's centre. D and G stay as rendered where no other
 //! view sees the surface.
@@ -27,16 +28,17 @@
 //! around the mirrored direction. From view to view, this direction turns by |s − s'|. The weight
 //! k = exp(−n |s − s'|² / α²), approximately, averages H over angles that the lobe spreads anyway.
 //! With n = 1 path per pixel and view, the lobe becomes wider by about 9 %; with more paths, less
-//! is averaged. Mirrors and glass, with k = 0, keep their light as rendered.
+//! is averaged. With sparse paths, n is the number of paths on a smooth surface. Mirrors and glass,
+//! with k = 0, keep their light as rendered.
 //!
-//! So a point that hundreds of views see has the diffuse samples of all of them. Each step of an
-//! average costs one shift and one comparison. The averages over a row and then over a column of
-//! views take one step per view of that row and column. One average over all views would take one
-//! step per view of the grid.
+//! So a point that hundreds of views see has the diffuse samples of all of them, or of the nearest
+//! [`NEAREST`]² views. Each step of an average costs one shift and one comparison. The averages
+//! over a row and then over a column of views take one step per view of that row and column. One
+//! average over all views would take one step per view of the grid.
 //!
-//! The table has results of README's job (`scenes/still-life/job.toml`), whose teapot is a rough
-//! metal, with 13 × 13 views. The score is that of the viewing zone. A further ray ends at the
-//! first surface.
+//! The table has results of `scenes/still-life/job.toml`, whose teapot is a rough metal, with
+//! 13 × 13 views, and without sparse paths. The score is that of the viewing zone. A further ray
+//! ends at the first surface.
 //!
 //! | paths | further rays | G | CPU seconds of rendering | score in the viewing zone |
 //! |---|---|---|---|---|
@@ -60,6 +62,7 @@
 //! same noise over many views.
 
 use std::io;
+use std::ops::Range;
 
 use glam::{DVec2, Vec3};
 use lumistack_core::pages::{Array, Plain, Storage, Window};
@@ -68,20 +71,22 @@ use lumistack_display::{FieldGeometry, Projection};
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;
 
-use crate::{SplitView, light32};
+use crate::surface::divisor;
+use crate::{Settings, SplitView, light32};
 
 /// Distance of one point from the plane of another point, in pixels, at which the weight has fallen
 /// to about a third.
 const PLANE_SCALE: f32 = 0.75;
 /// Two surfaces are treated as different if the cosine between their normals is below this.
 const LEAST_COSINE: f32 = 0.8;
-/// Radiance is divided by at least this reflectance, so that the light of darker surfaces does not
-/// become too noisy.
-const LEAST_REFLECTANCE: f32 = 0.02;
 
 /// Largest α of the weight k. Rougher surfaces are less noisy, and an average over many views
 /// has a bias at the rim of the zone, where views on one side are missing.
 const MOST_ALPHA: f32 = 0.1;
+
+/// Number of views along each axis that are averaged if there are more. The noise that is left is
+/// then elsewhere, and further views would only take time.
+const NEAREST: usize = 13;
 
 /// Data of a pixel for the filter. It is kept small, 20 bytes, since the pixels of all views are in
 /// memory or in a file together.
@@ -129,7 +134,7 @@ impl Light {
 /// Light that the views of a light field are to share. It takes 28 bytes for every ray.
 pub struct SharedLight<'a> {
     geometry: &'a FieldGeometry,
-    /// Number of paths per pixel and view.
+    /// n of the weight k, the number of paths of a pixel on a smooth surface.
     paths: u32,
     /// Number of views added.
     added: usize,
@@ -149,8 +154,9 @@ impl<'a> SharedLight<'a> {
     /// Number of bytes that a ray takes.
     pub const BYTES_PER_RAY: u64 = (size_of::<Point>() + size_of::<Light>()) as u64;
 
-    /// Starts without any view, in memory. The views have about `paths` paths per pixel.
-    pub fn new(geometry: &'a FieldGeometry, paths: u32) -> Self {
+    /// Starts without any view, in memory, for views with these settings.
+    pub fn new(geometry: &'a FieldGeometry, settings: &Settings) -> Self {
+        let paths = settings.paths_on_surface();
         Self { geometry, paths, added: 0, points: Array::Held(Vec::new()), light: Array::Held(Vec::new()) }
     }
 
@@ -159,9 +165,10 @@ impl<'a> SharedLight<'a> {
     ///
     /// # Errors
     /// If the storage is full.
-    pub fn in_storage(geometry: &'a FieldGeometry, paths: u32, storage: &Storage) -> io::Result<Self> {
+    pub fn in_storage(geometry: &'a FieldGeometry, settings: &Settings, storage: &Storage) -> io::Result<Self> {
         let rays = geometry.grid.iter().count() * geometry.rows * geometry.cols;
         let (points, light) = (Array::zeros(rays, Some(storage))?, Array::zeros(rays, Some(storage))?);
+        let paths = settings.paths_on_surface();
         Ok(Self { geometry, paths, added: 0, points, light })
     }
 
@@ -203,8 +210,14 @@ impl<'a> SharedLight<'a> {
         if let Array::Held(light) = &mut self.light {
             *light = vec![Light::default(); self.added * self.geometry.rows * self.geometry.cols];
         }
-        let of_row = |index: usize| (0..view_cols).map(|x| index / view_cols * view_cols + x).collect::<Vec<usize>>();
-        let of_col = |index: usize| (0..view_rows).map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>();
+        let of_row = |index: usize| {
+            let near = nearest(index % view_cols, view_cols, view_rows);
+            near.map(|x| index / view_cols * view_cols + x).collect::<Vec<usize>>()
+        };
+        let of_col = |index: usize| {
+            let near = nearest(index / view_cols, view_rows, view_cols);
+            near.map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>()
+        };
         // k, the weight of H, as a function of roughness
         let turns = turns(self.paths);
         pass(self.geometry, &self.points, &turns, of_row, &mut self.light, task)?;
@@ -301,8 +314,12 @@ fn turns(paths: u32) -> [f32; 256] {
     })
 }
 
-fn divisor(reflectance: Vec3) -> Vec3 {
-    reflectance.max(Vec3::splat(LEAST_REFLECTANCE))
+/// Returns the views of a row or column of `count` views that are averaged for the view `own`. They
+/// are at most `NEAREST` views, or more if there are few views along the other axis: `across`.
+fn nearest(own: usize, count: usize, across: usize) -> Range<usize> {
+    let most = (NEAREST * NEAREST / across.clamp(1, NEAREST)).min(count);
+    let first = own.saturating_sub(most / 2).min(count - most);
+    first..first + most
 }
 
 /// Computes the mean of every pixel's light over the views that `partners` lists for the pixel's
@@ -444,4 +461,19 @@ fn of_view(
 fn weighted(weight: f32, code: u32) -> [f32; 4] {
     let [r, g, b] = light32::decode(code);
     [weight * r, weight * g, weight * b, weight]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_views_are_averaged() {
+        // all views of the grids of most displays
+        assert_eq!([nearest(0, 13, 13), nearest(12, 13, 13), nearest(2, 5, 5)], [0..13, 0..13, 0..5]);
+        // 25 × 25 views: six on either side, and as many at the rim
+        assert_eq!([0, 3, 12, 20, 24].map(|own| nearest(own, 25, 25)), [0..13, 0..13, 6..19, 12..25, 12..25]);
+        // a quilt has a single row
+        assert_eq!([nearest(20, 45, 1), nearest(0, 1, 45), nearest(30, 60, 4)], [0..45, 0..1, 9..51]);
+    }
 }

@@ -5,10 +5,12 @@ use lumistack_core::seed;
 
 use super::first::DisplayAxes;
 use crate::bvh::{BEAM, Ray};
+use crate::math::all_ones;
 use crate::primary::PrimaryRays;
 use crate::sampler::{Draws, SampleBank};
 use crate::settings::Settings;
-use crate::tracer::{Cone, all_ones};
+use crate::sparse::SparsePaths;
+use crate::tracer::Cone;
 
 /// Pair of random numbers for a primary ray's position in the pixel.
 const PLACE_PAIR: u64 = 0;
@@ -23,6 +25,7 @@ pub(super) struct ViewSamples<'a> {
     bank: SampleBank,
     paths: u32,
     seed: u64,
+    is_sparse: bool,
 }
 
 impl<'a> ViewSamples<'a> {
@@ -37,7 +40,7 @@ impl<'a> ViewSamples<'a> {
     ) -> Self {
         let seed = seed::derive(settings.seed, &[view[0] as u64, view[1] as u64]);
         let bank = SampleBank::with_more(settings.samples, rays_per_pixel);
-        Self { rays, axes, bank, paths: settings.samples, seed }
+        Self { rays, axes, bank, paths: settings.samples, seed, is_sparse: settings.has_sparse_paths() }
     }
 
     /// Returns the seed of a pixel's random numbers.
@@ -78,9 +81,12 @@ impl<'a> ViewSamples<'a> {
                 count: each * pixels.len(),
                 each,
                 paths: 0,
+                sparse: None,
                 in_bounds: false,
             };
-            let of_pixel = all_ones((paths.saturating_sub(first) as usize).min(each));
+            let paths = (paths.saturating_sub(first) as usize).min(each);
+            let of_pixel = all_ones(paths);
+            beam.sparse = (self.is_sparse && paths > 0).then(|| SparsePaths::new(pixels, seeds, each, paths));
             let (mut in_pixel, mut in_bin) = (draws.pair(PLACE_PAIR), draws.pair(SLOPE_PAIR));
             // append the rays of every pixel
             for (number, [row, col]) in pixels.iter().enumerate() {
@@ -106,6 +112,8 @@ pub(super) struct RayBeam {
     pub(super) each: usize,
     /// Bit i is set if ray i continues as a path.
     pub(super) paths: u32,
+    /// The groups of the rays, with [`Settings::sparse_paths`].
+    pub(super) sparse: Option<SparsePaths>,
     /// False if no ray can hit the scene.
     pub(super) in_bounds: bool,
 }

@@ -12,7 +12,8 @@ use lumistack_scene::Window;
 
 use super::beams::place_in_pixel;
 use super::first::{FEATURES, FirstSums};
-use super::{PixelMean, RenderError, Renderer, ranges, rgb};
+use super::sums::PixelMean;
+use super::{RenderError, Renderer, ranges, rgb};
 use crate::settings::Settings;
 
 /// Data of the first surfaces of one view, which guide a denoiser.
@@ -129,10 +130,10 @@ impl Renderer {
             let mut values = [0.0; 6 + FEATURES];
             values[..3].copy_from_slice(&pixel.mean.to_array());
             values[3..6].copy_from_slice(&pixel.variance.to_array());
-            values[6..].copy_from_slice(&first.features(settings.samples));
+            values[6..].copy_from_slice(&first.features());
             values
         };
-        let count = [settings.samples; 2];
+        let (count, settings) = ([settings.samples; 2], &Settings { sparse_paths: false, ..*settings });
         let all = self.view_of::<true, { 6 + FEATURES }>(window, geometry, view, settings, count, task, all, rgb)?;
         let [radiance, variance, values] = ranges(&all, [("rgb", 3), ("rgb", 3), ("feature", FEATURES)]);
         Ok(GuidedView { radiance, variance, features: Features { values } })
@@ -163,7 +164,7 @@ impl Renderer {
                     sums.add(first, place_in_pixel(draws, index), &samples.axes);
                 }
             });
-            sums.turned(&samples.axes).features(settings.samples)
+            sums.turned(&samples.axes).features()
         })?;
         Ok(Features { values })
     }

@@ -3,8 +3,9 @@
 use glam::{DVec3, Quat, Vec3};
 use lumistack_scene::Window;
 
+use super::sums::LightSums;
 use crate::geometry::RenderSpace;
-use crate::tracer::First;
+use crate::surface::{First, divisor};
 
 /// Number of values per pixel of the guides.
 pub(crate) const FEATURES: usize = 11;
@@ -48,6 +49,9 @@ impl DisplayAxes {
 /// [`turned`](Self::turned) converts them to display space.
 #[derive(Default)]
 pub(super) struct FirstSums {
+    /// Number of all rays, of rays that continue as paths, and of rays that hit a surface.
+    rays: u32,
+    paths: u32,
     hits: u32,
     z_mm: f32,
     /// Sum of the geometric normals.
@@ -56,7 +60,7 @@ pub(super) struct FirstSums {
     reflectance: Vec3,
     /// Sum of the reflectances of the lobes that depend on the viewer's direction.
     glossy: Vec3,
-    /// 1 minus the smallest α of the rays' [`Gloss`](crate::tracer::Gloss).
+    /// 1 minus the smallest α of the rays' [`Gloss`](crate::surface::Gloss).
     sharpness: f32,
     /// This sum and the next three are the sums of the guides' values.
     albedo: Vec3,
@@ -72,7 +76,9 @@ pub(super) struct FirstSums {
     seen: Vec3,
     /// The sum `seen` over the rays that continue as paths.
     path_seen: Vec3,
-    /// The sum `reflectance` over the rays that continue as paths.
+    /// The sum `reflectance` over the rays that continue as paths. Without such rays, it is the
+    /// mean over all rays if the pixel has light of its group, see [`lend`](Self::lend). The same
+    /// holds for `path_glossy`.
     path_reflectance: Vec3,
     /// The sum `glossy` over the rays that continue as paths.
     path_glossy: Vec3,
@@ -88,7 +94,14 @@ impl FirstSums {
         if self.nearest.is_none_or(|(nearest, _)| distance < nearest) {
             self.nearest = Some((distance, z_mm));
         }
+        self.rays += 1;
         self.seen += first.seen;
+        if first.is_path {
+            self.paths += 1;
+            self.path_seen += first.seen;
+            self.path_reflectance += first.reflectance;
+            self.path_glossy += first.gloss.reflectance;
+        }
         // light that a ray itself sees is part of the light that other views do not share
         let alpha = if first.seen == Vec3::ZERO { first.gloss.alpha } else { 0.0 };
         self.sharpness = self.sharpness.max(1.0 - alpha);
@@ -104,18 +117,36 @@ impl FirstSums {
         self.alpha += first.guide.alpha;
     }
 
-    /// Adds a ray that continues as a path also to the second sums, which are over paths alone.
-    #[inline]
-    pub(super) fn add_path(&mut self, first: &First) {
-        self.path_seen += first.seen;
-        self.path_reflectance += first.reflectance;
-        self.path_glossy += first.gloss.reflectance;
-    }
-
     /// Adds light that is scattered alike to all viewers.
     #[inline]
     pub(super) fn add_diffuse(&mut self, diffuse: Vec3) {
         self.diffuse += diffuse;
+    }
+
+    /// Gives the light of the paths of a group of pixels to those pixels that have no path. `light`
+    /// has the sums of the light of all paths of each pixel. The rays of the group hit one surface,
+    /// which emits no light; see [`SparsePaths`](crate::sparse::SparsePaths). Without light that is
+    /// finite, the other pixels remain without paths, so other views give them light.
+    pub(super) fn lend(group: &mut [(Self, LightSums)]) {
+        let is_finite = group.iter().all(|(_, light)| light.not_finite == 0);
+        if !is_finite || group.iter().all(|(first, _)| first.paths > 0) {
+            return;
+        }
+        // E and H of the group, by which its light is independent of its textures
+        let sum = |of: fn(&Self, &LightSums) -> Vec3| group.iter().map(|(first, light)| of(first, light)).sum::<Vec3>();
+        let paths = group.iter().map(|(first, _)| first.paths).sum::<u32>() as f32;
+        let diffuse = sum(|first, _| first.diffuse) / divisor(sum(|first, _| first.path_reflectance) / paths);
+        let other =
+            sum(|first, light| light.sum() - first.diffuse) / divisor(sum(|first, _| first.path_glossy) / paths);
+        let (diffuse, other) = (diffuse / paths, other / paths);
+        for (first, light) in group.iter_mut().filter(|(first, _)| first.paths == 0) {
+            let share = 1.0 / first.rays as f32;
+            first.paths = 1;
+            first.path_reflectance = share * first.reflectance;
+            first.path_glossy = share * first.glossy;
+            first.diffuse = diffuse * divisor(first.path_reflectance);
+            light.add(first.diffuse + other * divisor(first.path_glossy));
+        }
     }
 
     /// Returns the sums with normals in display space.
@@ -125,20 +156,19 @@ impl FirstSums {
         self
     }
 
-    /// Returns the guides of a pixel that has this number of samples.
-    pub(super) fn features(&self, samples: u32) -> [f32; FEATURES] {
+    /// Returns the guides of a pixel.
+    pub(super) fn features(&self) -> [f32; FEATURES] {
         let share = 1.0 / self.hits.max(1) as f32;
         let [r, g, b] = (share * self.albedo).to_array();
         let [x, y, z] = (share * self.shading).to_array();
         let central = self.nearest.and_then(|(_, z_mm)| z_mm).unwrap_or(f32::NAN);
-        let covered = self.hits as f32 / samples as f32;
+        let covered = self.hits as f32 / self.rays as f32;
         [covered, r, g, b, x, y, z, share * self.z_mm, share * self.gloss, share * self.alpha, central]
     }
 
     /// Returns the values of a pixel with its diffuse and other light separate. `mean` is the mean
-    /// light of the paths, of which `finite` have finite light. `rays` is the number of all rays of
-    /// the pixel.
-    pub(super) fn split(&self, mean: Vec3, finite: u32, rays: u32) -> [f32; PARTS] {
+    /// light of the paths, of which `finite` have finite light.
+    pub(super) fn split(&self, mean: Vec3, finite: u32) -> [f32; PARTS] {
         // light is a mean over the finite paths, reflectance over all rays, normal and depth over
         // the rays with a surface
         let diffuse = self.diffuse / finite.max(1) as f32;
@@ -146,24 +176,23 @@ impl FirstSums {
         let mut values = [0.0; PARTS];
         values[..3].copy_from_slice(&diffuse.to_array());
         values[3..6].copy_from_slice(&(mean - diffuse).to_array());
-        values[6..9].copy_from_slice(&(self.reflectance / rays as f32).to_array());
+        values[6..9].copy_from_slice(&(self.reflectance / self.rays as f32).to_array());
         values[9..12].copy_from_slice(&(share * self.normal).to_array());
         values[12] = share * self.z_mm;
-        values[13..16].copy_from_slice(&(self.glossy / rays as f32).to_array());
+        values[13..16].copy_from_slice(&(self.glossy / self.rays as f32).to_array());
         values[ALPHA] = 1.0 - self.sharpness;
         values
     }
 
     /// Returns the values of [`split`](Self::split), then both reflectances over the paths alone,
-    /// then the light that all rays themselves see. The values of `split` lack this last light. The
-    /// first `paths` of the `rays` continue as paths.
-    pub(super) fn apart(&self, mean: Vec3, finite: u32, [paths, rays]: [u32; 2]) -> [f32; APART] {
-        let of_paths = 1.0 / paths.max(1) as f32;
+    /// then the light that all rays themselves see. The values of `split` lack this last light.
+    pub(super) fn apart(&self, mean: Vec3, finite: u32) -> [f32; APART] {
+        let of_paths = 1.0 / self.paths.max(1) as f32;
         let mut values = [0.0; APART];
-        values[..PARTS].copy_from_slice(&self.split(mean - of_paths * self.path_seen, finite, rays));
+        values[..PARTS].copy_from_slice(&self.split(mean - of_paths * self.path_seen, finite));
         values[PARTS..PARTS + 3].copy_from_slice(&(of_paths * self.path_reflectance).to_array());
         values[PARTS + 3..MORE_PARTS].copy_from_slice(&(of_paths * self.path_glossy).to_array());
-        values[MORE_PARTS..].copy_from_slice(&(self.seen / rays as f32).to_array());
+        values[MORE_PARTS..].copy_from_slice(&(self.seen / self.rays as f32).to_array());
         values
     }
 }

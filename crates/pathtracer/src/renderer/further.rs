@@ -106,7 +106,7 @@ impl Renderer {
         }
         // trace the further rays, with random numbers that no other ray uses
         let seed = seed::derive(settings.seed, &[STREAM]);
-        let settings = Settings { seed, ..*settings };
+        let settings = Settings { seed, sparse_paths: false, ..*settings };
         let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
         let samples = ViewSamples::new(rays, DisplayAxes::new(window, self.geometry.space), view, &settings, most);
         let (clamped, quiet) = (Clamped::default(), Task { progress: &NoProgress, ..task });
@@ -118,8 +118,7 @@ impl Renderer {
                 let count = [paths, rays];
                 let seed = |at| samples.pixel_seed(at);
                 self.pixels::<true>(&samples, pixels, seed, count, &settings, &clamped, buffers, |pixel, first| {
-                    let finite = paths - pixel.not_finite;
-                    values[..APART].copy_from_slice(&first.apart(pixel.mean, finite, count));
+                    values[..APART].copy_from_slice(&first.apart(pixel.mean, pixel.finite));
                     values[APART..].copy_from_slice(&pixel.variance.to_array());
                 });
             }

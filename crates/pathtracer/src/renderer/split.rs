@@ -9,7 +9,7 @@
 //! G is all other light. D is a weighted mean of the light of all paths. A path's weight is the
 //! fraction of the scattering function at its first vertex that comes from the diffuse lobe. D + G
 //! is the light that [`render_view`](Renderer::render_view) computes from the same rays and random
-//! numbers.
+//! numbers, unless paths are [sparse](Settings::sparse_paths).
 
 use glam::Vec3;
 use lumistack_core::{Task, Tensor};
@@ -18,7 +18,8 @@ use lumistack_scene::Window;
 
 use super::features::Features;
 use super::first::{ALPHA, APART, FEATURES, FirstSums, MORE_PARTS, PARTS};
-use super::{PixelMean, RenderError, Renderer, further, ranges};
+use super::sums::PixelMean;
+use super::{RenderError, Renderer, further, ranges};
 use crate::light16;
 use crate::settings::Settings;
 
@@ -235,8 +236,9 @@ impl SplitView {
 impl Renderer {
     /// Renders one view with its diffuse and other light separate. The samples are the samples of
     /// [`render_view`](Self::render_view) with the same settings, the [further
-    /// rays](Settings::further_rays) and the [further paths](Settings::further_paths). Advances the
-    /// progress as `render_view` does.
+    /// rays](Settings::further_rays) and the [further paths](Settings::further_paths). With [sparse
+    /// paths](Settings::sparse_paths), only some of the samples are paths. Advances the progress as
+    /// `render_view` does.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).
@@ -248,16 +250,15 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<SplitView, RenderError> {
-        let finite = |pixel: &PixelMean| settings.samples - pixel.not_finite;
         let values = if settings.has_further_rays() {
             let count = settings.rays();
-            let apart = |pixel: &PixelMean, first: &FirstSums| first.apart(pixel.mean, finite(pixel), count);
+            let apart = |pixel: &PixelMean, first: &FirstSums| first.apart(pixel.mean, pixel.finite);
             let values =
                 self.view_of::<true, APART>(window, geometry, view, settings, count, task, apart, all_parts)?;
             self.with_further_paths(window, geometry, view, settings, task, &values, None)?
         } else {
             let count = [settings.samples; 2];
-            let split = |pixel: &PixelMean, first: &FirstSums| first.split(pixel.mean, finite(pixel), settings.samples);
+            let split = |pixel: &PixelMean, first: &FirstSums| first.split(pixel.mean, pixel.finite);
             self.view_of::<true, PARTS>(window, geometry, view, settings, count, task, split, both_parts)?
         };
         Ok(SplitView { values })
@@ -280,15 +281,14 @@ impl Renderer {
         const VARIANCE: usize = APART + 3;
         let count = settings.rays();
         let all = |pixel: &PixelMean, first: &FirstSums| {
-            let finite = settings.samples - pixel.not_finite;
             let mut values = [0.0; VARIANCE + FEATURES];
             if settings.has_further_rays() {
-                values[..APART].copy_from_slice(&first.apart(pixel.mean, finite, count));
+                values[..APART].copy_from_slice(&first.apart(pixel.mean, pixel.finite));
             } else {
-                values[..PARTS].copy_from_slice(&first.split(pixel.mean, finite, settings.samples));
+                values[..PARTS].copy_from_slice(&first.split(pixel.mean, pixel.finite));
             }
             values[APART..VARIANCE].copy_from_slice(&pixel.variance.to_array());
-            values[VARIANCE..].copy_from_slice(&first.features(count[1]));
+            values[VARIANCE..].copy_from_slice(&first.features());
             values
         };
         let all = self

@@ -201,7 +201,7 @@ fn split_and_shared(
     let task = Task::quiet(&collector, &cancel);
     let split = |view| renderer.render_split(&window(), geometry, view, settings, task).unwrap();
     let splits: Vec<SplitView> = geometry.grid.iter().map(split).collect();
-    let mut light = SharedLight::new(geometry, settings.samples);
+    let mut light = SharedLight::new(geometry, settings);
     splits.iter().for_each(|split| light.add(split));
     let mean = light.averaged(task).unwrap();
     let shared = splits.iter().enumerate().map(|(number, split)| mean.on(number, split)).collect();
@@ -324,21 +324,127 @@ fn further_rays_smooth_edges_and_keep_means() {
     let [before, after] = [error(&alone.1[1]), error(&with.1[1])];
     println!("{before} {after}");
     assert!(after < 0.9 * before, "{before} {after}");
-    // Shared pictures of many seeds have the mean of the reference. The tolerance is four standard
-    // errors, plus the error of the nearest pixel in other views.
+    assert_means_and_bytes(&renderer, &geometry, &further, &truth);
+}
+
+/// Asserts that shared pictures of many seeds have the mean of a reference, and that the pictures
+/// are the same with any number of threads.
+fn assert_means_and_bytes(renderer: &Renderer, geometry: &FieldGeometry, settings: &Settings, truth: &Tensor<3>) {
+    // The tolerance is four standard errors, plus the error of the nearest pixel in other views.
     let means = (0..24).map(|seed| {
-        let (_, shared) = split_and_shared(&renderer, &geometry, &Settings { seed, ..further });
+        let (_, shared) = split_and_shared(renderer, geometry, &Settings { seed, ..*settings });
         mean(&shared[1])
     });
     let found: Vec<f64> = means.collect();
     let average = found.iter().sum::<f64>() / found.len() as f64;
     let spread = found.iter().map(|value| (value - average).powi(2)).sum::<f64>() / (found.len() - 1) as f64;
-    let allowed = 4.0 * (spread / found.len() as f64).sqrt() + 0.005 * mean(&truth);
-    assert!((average - mean(&truth)).abs() < allowed, "{average}, {}, {allowed}", mean(&truth));
+    let allowed = 4.0 * (spread / found.len() as f64).sqrt() + 0.005 * mean(truth);
+    assert!((average - mean(truth)).abs() < allowed, "{average}, {}, {allowed}", mean(truth));
+    let with = split_and_shared(renderer, geometry, settings);
     for count in [1, 3] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().unwrap();
-        let (splits, shared) = pool.install(|| split_and_shared(&renderer, &geometry, &further));
+        let (splits, shared) = pool.install(|| split_and_shared(renderer, geometry, settings));
         assert!(splits == with.0 && shared == with.1, "{count} threads");
+    }
+}
+
+/// With sparse paths and one sample, four pixels on one surface have the light of one path. Pixels
+/// at edges keep their own paths. The mean stays the same.
+#[test]
+fn sparse_paths_are_shared_on_one_surface() {
+    let (renderer, geometry) = (room(), geometry());
+    let truth = render(&renderer, [0, 1], 1024, 3);
+    // Returns true if the light that falls on four pixels is the same. It is the diffuse light,
+    // divided by the reflectance of the surfaces that the paths hit.
+    let is_same = |view: &SplitView, col: usize, row: usize| {
+        let light = |row: usize, col: usize| {
+            let pixel = view.values().block([row, col]);
+            pixel[0] / pixel[SplitView::VALUES]
+        };
+        let others = [light(row, col + 1), light(row + 1, col), light(row + 1, col + 1)];
+        others.iter().all(|other| (other / light(row, col) - 1.0).abs() < 1e-5)
+    };
+    let rows = || (20..40).step_by(2);
+    for (samples, further_rays) in [(1, 0), (1, 1), (2, 0), (3, 0), (8, 0)] {
+        let sparse = Settings { samples, further_rays, seed: 4, sparse_paths: true, ..Settings::default() };
+        assert_means_and_bytes(&renderer, &geometry, &sparse, &truth);
+        let views = split_and_shared(&renderer, &geometry, &sparse).0;
+        // the whole wall is even, since its colours do not matter
+        for col in (POLE + 4..SIZE).step_by(2) {
+            let same = rows().filter(|row| is_same(&views[1], col, *row)).count();
+            assert_eq!(same, if samples == 1 { rows().count() } else { 0 }, "{samples} samples, column {col}");
+        }
+    }
+}
+
+/// Pixels with a path have light of a sky of radiance 1: a wall of two colours, whose edge is
+/// inside of groups, and a rough metal. Pixels without a path have the same light per reflectance.
+#[test]
+fn lent_light_is_independent_of_reflectance() {
+    const EDGE: usize = 31;
+    let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);
+    let wall = |left: f32, right: f32| {
+        rectangle(Vec3::new(0.5 * (left + right), 0.0, -0.4), 0.5 * (right - left) * Vec3::X, 2.0 * Vec3::Y)
+    };
+    let geometry = FieldGeometry { rows: 21, cols: 61, ..geometry() };
+    let metal = Material { metallic: 1.0, roughness: 0.6, ..Material::default() };
+    // similar colours are lent to each other; black and white are not
+    for [left, right] in [[diffuse(0.4), diffuse(0.8)], [diffuse(0.0), diffuse(0.8)], [diffuse(0.6), metal]] {
+        let mut builder = Builder::default();
+        builder.add(wall(-4.0, x(EDGE)), left).add(wall(x(EDGE), 4.0), right);
+        builder.sky(&[1.0]);
+        let renderer = builder.renderer();
+        for settings in [(1, 0), (1, 1), (2, 0), (3, 0), (12, 0), (24, 0)].map(|(samples, further_rays)| Settings {
+            samples,
+            further_rays,
+            ..Settings::default()
+        }) {
+            let sums = |sparse_paths: bool| {
+                // eight seeds, so that a column has the paths of about 130 groups
+                let of_seed =
+                    |seed| split_and_shared(&renderer, &geometry, &Settings { sparse_paths, seed, ..settings }).1;
+                let views: Vec<Tensor<3>> = (0..8).flat_map(of_seed).collect();
+                let col = |col: usize| {
+                    let of_view = |view: &Tensor<3>| (0..21).map(|row| f64::from(view.get([row, col, 0]))).sum::<f64>();
+                    views.iter().map(of_view).sum::<f64>() / (21 * views.len()) as f64
+                };
+                (0..61).map(col).collect::<Vec<f64>>()
+            };
+            let [all, sparse] = [sums(false), sums(true)];
+            for (col, (all, sparse)) in all.iter().zip(&sparse).enumerate() {
+                assert!((all - sparse).abs() < 0.02 + 0.08 * all, "{settings:?}, column {col}: {all} {sparse}");
+            }
+        }
+    }
+}
+
+/// Where pixels see different surfaces, or a mirror, sparse paths are all paths.
+#[test]
+fn edges_and_mirrors_keep_their_paths() {
+    let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);
+    let wall = |left: f32, right: f32, z: f32| {
+        rectangle(Vec3::new(0.5 * (left + right), 0.0, z), 0.5 * (right - left) * Vec3::X, 2.0 * Vec3::Y)
+    };
+    // the pole's edge is between the two columns of a group
+    let edge = POLE + 1;
+    let mut builder = Builder::default();
+    builder.add(wall(-2.0, x(edge), 0.0), diffuse(0.7));
+    builder.add(wall(-2.0, x(COLOUR), -0.4), diffuse(0.2));
+    builder.add(wall(x(COLOUR), 2.0, -0.4), Material { metallic: 1.0, roughness: 0.1, ..Material::default() });
+    builder.sky(&[0.2, 2.0, 0.4]);
+    let (renderer, geometry) = (builder.renderer(), geometry());
+    let plain = Settings { samples: 1, further_rays: 1, seed: 4, ..Settings::default() };
+    let [all, sparse] = [false, true].map(|sparse_paths| {
+        split_and_shared(&renderer, &geometry, &Settings { sparse_paths, ..plain }).0.swap_remove(1)
+    });
+    let kept = |col: usize| {
+        (0..SIZE).filter(|row| all.values().block([*row, col]) == sparse.values().block([*row, col])).count()
+    };
+    for col in 0..SIZE {
+        let keeps = [edge - 1, edge].contains(&col) || col >= COLOUR;
+        // elsewhere, one of four pixels keeps its path
+        let found = kept(col) as f64 / SIZE as f64;
+        assert!(if keeps { found == 1.0 } else { (0.02..0.6).contains(&found) }, "column {col}: {found}");
     }
 }
 
@@ -363,7 +469,7 @@ fn further_paths_keep_the_mean_and_the_bytes() {
     // a view that no other view helps stays as it is
     let alone = geometry.with_grid(ViewGrid::uniform(Projection::Oblique, [1, 1], [1.0, 1.0]).unwrap());
     let own = renderer.render_split(&window(), &alone, [0, 0], &settings, task).unwrap();
-    let mut light = SharedLight::new(&alone, settings.samples);
+    let mut light = SharedLight::new(&alone, &settings);
     light.add(&own);
     assert!(light.averaged(task).unwrap().on(0, &own) == own.radiance());
     let dark = Settings { max_bounces: 0, hide_environment: true, ..plain };

@@ -14,6 +14,7 @@ const SAMPLES: Settings = Settings {
     hide_environment: false,
     samples: 4,
     further_rays: 0,
+    sparse_paths: false,
     further_paths: false,
     max_bounces: 2,
     roulette_start: 3,

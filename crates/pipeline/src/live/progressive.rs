@@ -11,7 +11,7 @@
 use lumistack_core::{Task, Tensor};
 use lumistack_display::LightField;
 use lumistack_pathtracer::denoise::SharedLight;
-use lumistack_pathtracer::{Renderer, SplitView};
+use lumistack_pathtracer::{Renderer, Settings, SplitView};
 use lumistack_shot::{put_before, slopes};
 use lumistack_splats::Space;
 
@@ -69,7 +69,7 @@ impl Progressive {
             Ok::<(), PipelineError>(())
         })?;
         if shot.job.light.background != Background::Environment {
-            let settings = lumistack_pathtracer::Settings { samples: MISSED_SAMPLES, ..of.settings };
+            let settings = Settings { samples: MISSED_SAMPLES, ..of.settings };
             for view in &mut views {
                 let missed = renderer.tracer.render_misses(shot.window(), &of.traced, view.place, &settings, task);
                 view.missed = missed.map_err(render_error)?.into_data();
@@ -110,7 +110,7 @@ impl Progressive {
         let splits: Option<Vec<&SplitView>> = self.views.iter().map(|view| view.split.as_ref()).collect();
         let shared = match &splits {
             Some(splits) if self.shares => {
-                let mut light = SharedLight::new(&self.of.traced, samples);
+                let mut light = SharedLight::new(&self.of.traced, &Settings { samples, ..self.of.settings });
                 splits.iter().for_each(|split| light.add(split));
                 Some(light.averaged(task)?)
             }
@@ -151,11 +151,7 @@ impl View {
     ) -> Result<(), PipelineError> {
         // Another seed gives other paths than in the earlier passes. No pixel gets further paths,
         // since they would delay the passes.
-        let settings = lumistack_pathtracer::Settings {
-            samples,
-            further_paths: false,
-            ..of.seeded(&[3, u64::from(self.samples)])
-        };
+        let settings = Settings { samples, further_paths: false, ..of.seeded(&[3, u64::from(self.samples)]) };
         let new =
             renderer.render_split(shot.window(), &of.traced, self.place, &settings, task).map_err(render_error)?;
         self.split = Some(match self.split.take() {

@@ -36,17 +36,10 @@ impl Disk {
     pub(super) fn of(job: &Job, display: &Display, geometry: &FieldGeometry, others: &[Option<ViewGrid>; 2]) -> Self {
         let pixels = (geometry.rows * geometry.cols) as u64;
         let rays = |grid: &ViewGrid| grid.iter().count() as u64 * pixels;
-        let views = geometry.grid.iter().count();
         let target = rays(&geometry.grid);
         let is_capture = job.scene.as_deref().is_some_and(is_capture);
         let is_hidden = job.light.background != Background::Environment;
-        // if the number of paths will be measured, further rays are possible
-        let samples = if job.render.samples_are_measured() { 1 } else { job.render.samples_of_view(views) };
-        let settings = Settings {
-            further_rays: job.further_rays(display, samples),
-            further_paths: job.has_further_paths(display),
-            ..Settings::default()
-        };
+        let settings = job.split_settings(Settings::default(), display);
         Self {
             rays: target + others.iter().flatten().map(rays).sum::<u64>(),
             in_files: if job.render.is_held(geometry) { 0 } else { target },

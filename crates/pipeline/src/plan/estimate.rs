@@ -20,6 +20,7 @@ use std::time::Instant;
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Backlight, Display, FieldGeometry, ViewGrid};
 use lumistack_factorizer::{held_bytes, paged_bytes};
+use lumistack_pathtracer::Settings;
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_plugin_host::Registry;
 use lumistack_shot::Depths;
@@ -283,8 +284,8 @@ struct Sizes {
     solver_times: f64,
     /// Number of paths of the measurement that chooses the number of samples.
     measured_paths: f64,
-    /// Further rays per pixel and view.
-    further_rays: u32,
+    /// Time of a view's paths, as a multiple of the time of one path per sample.
+    path_times: f64,
     memory: Memory,
     disk: Disk,
 }
@@ -345,7 +346,7 @@ impl Sizes {
             values: 3.0 * frames * display.layers.iter().map(|layer| area(layer.resolution)).sum::<f64>(),
             frames,
             solver_times: if matches!(display.backlight, Backlight::Uniform) { 1.0 } else { DIRECTIONAL_TIMES },
-            further_rays: job.further_rays(&display, job.render.samples_of_view(geometry.grid.iter().count())),
+            path_times: path_times(job, &display, &geometry),
             measured_paths: if job.scene.is_some() { samples::paths(job, &display, &geometry) as f64 } else { 0.0 },
         })
     }
@@ -385,7 +386,8 @@ impl Memory {
             Denoise::Shared if is_held => shared * rays(geometry),
             Denoise::Shared => 2.0 * in_use(0.5 * shared * rays(geometry), shared / RGB * view),
         };
-        let further = if job.has_further_paths(display) { FURTHER_VALUES / 3.0 * view } else { 0.0 };
+        let settings = job.split_settings(Settings::default(), display);
+        let further = if settings.further_paths { FURTHER_VALUES / 3.0 * view } else { 0.0 };
         let depths = Depths::coarse(geometry);
         let kept = match &job.light_field {
             Some(_) => job.report.zone_directions as f64 * view,
@@ -404,6 +406,17 @@ impl Memory {
     }
 }
 
+/// Returns [`Sizes::path_times`].
+fn path_times(job: &Job, display: &Display, geometry: &FieldGeometry) -> f64 {
+    let samples = job.render.samples_of_view(geometry.grid.iter().count());
+    let settings = job.split_settings(Settings { samples, ..Settings::default() }, display);
+    match (settings.further_paths, settings.sparse_paths) {
+        (true, _) => FURTHER_TIMES,
+        (false, true) => SPARSE_TIMES + FURTHER_RAY_TIMES * f64::from(settings.further_rays),
+        (false, false) => 1.0,
+    }
+}
+
 /// Returns the work of a step, in the unit of its stage. The unit of tracing is a path. The unit of
 /// factorizing is one ray, layer, frame and iteration. The unit of most other stages is a ray.
 fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
@@ -418,11 +431,7 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
         StepKind::Ingest => 1.0,
         StepKind::Place => PLACE + MEASURED_TIMES * sizes.measured_paths,
         StepKind::Trace => {
-            let times = match sizes.memory.further > 0.0 {
-                true => FURTHER_TIMES,
-                false => 1.0 + FURTHER_RAY_TIMES * f64::from(sizes.further_rays),
-            };
-            sizes.pixels * (sizes.views + sizes.others) * samples * times
+            sizes.pixels * (sizes.views + sizes.others) * samples * if is_capture { 1.0 } else { sizes.path_times }
         }
         StepKind::Denoise if !job.render.denoise.filters() => 0.0,
         StepKind::Denoise if job.render.denoise == Denoise::Shared => {
@@ -499,6 +508,8 @@ const MEASURED_TIMES: f64 = 1.5;
 /// Time of views that share light and get further paths, divided by the time of the same views
 /// without further paths. Measured factors are between 1.2 and 2.2 (docs/ZONE.md).
 const FURTHER_TIMES: f64 = 1.8;
+/// Time of views with sparse paths, divided by the time of the same views with all paths.
+const SPARSE_TIMES: f64 = 0.7;
 /// Time of a ray that ends at the first surface, divided by the time of a path.
 const FURTHER_RAY_TIMES: f64 = 0.17;
 /// Largest number of values per pixel of a view while the view gets further paths. These are the
@@ -597,7 +608,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_work_of_tracing_includes_further_paths() {
+    fn the_work_of_tracing_depends_on_further_and_sparse_paths() {
         let of = |views: &str, denoise: &str| {
             let text = format!(
                 "scene = \"a.glb\"\n[display]\npreset = \"paper-three-layer\"\n{views}\n[render]\nsamples = 8\ndenoise = \"{denoise}\"\n"
@@ -610,8 +621,8 @@ mod tests {
         };
         let plain = of("views = [5, 5]", "off");
         assert!((of("views = [5, 5]", "shared") / plain - FURTHER_TIMES).abs() < 1e-9);
-        // a display that chooses its views gets no further paths
-        assert_eq!(of("", "shared"), of("", "off"));
+        // a display that chooses its views has sparse paths
+        assert!((of("", "shared") / of("", "off") - SPARSE_TIMES).abs() < 1e-9);
         assert!(plain > 0.0);
     }
 }

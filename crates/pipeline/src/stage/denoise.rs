@@ -195,11 +195,10 @@ type Filtered<'a> = Box<dyn Fn(usize, [usize; 2], Task<'_>) -> Result<[Tensor<3>
 fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
     let geometry = &field.traced;
     let mut light = if job.render.is_held(geometry) {
-        SharedLight::new(geometry, field.settings.samples)
+        SharedLight::new(geometry, &field.settings)
     } else {
         let storage = lumistack_field_io::storage(&field.folder, job.render.window_bytes());
-        SharedLight::in_storage(geometry, field.settings.samples, &storage)
-            .map_err(PipelineError::write(&field.folder))?
+        SharedLight::in_storage(geometry, &field.settings, &storage).map_err(PipelineError::write(&field.folder))?
     };
     task.progress.begin("share light", 3 * geometry.grid.iter().count() as u64, "views");
     let views: Vec<[usize; 2]> = geometry.grid.iter().collect();

@@ -74,11 +74,7 @@ impl Shot<'_> {
         let hidden = job.light.background != Background::Environment;
         let footprint = self.display.angular_footprint();
         let settings = job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, footprint);
-        let further_rays = match self.samples {
-            Some(measured) => measured.further_rays,
-            None => job.further_rays(self.display, samples),
-        };
-        Settings { further_rays, further_paths: job.has_further_paths(self.display), ..settings }
+        job.split_settings(settings, self.display)
     }
 
     /// Returns all light fields of the shot, the target first. The traced views of each light field
@@ -95,6 +91,8 @@ impl Shot<'_> {
                 }
                 other => other,
             },
+            // The report shows these views, and each is alone or one of few.
+            sparse_paths: false,
             ..settings
         };
         // The names of folders contain a key of everything that traced views depend on.

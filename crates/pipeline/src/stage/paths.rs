@@ -14,17 +14,11 @@ const MOST_PATHS: usize = 3200;
 /// change of the display rarely changes the number. Views with another number of paths must be
 /// rendered again.
 const CHOICES: [u32; 12] = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64];
-/// Squared error from the noise of one path and one further ray per pixel and view, as a fraction
-/// of the error from one path alone. A pixel's two rays are stratified. Measured: 0.40 for
-/// `scenes/still-life/job.toml`.
-const FURTHER_NOISE: f64 = 0.5;
 /// Measured errors, and the number of paths that follows from them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Samples {
     /// Paths per pixel and view, at least 1.
     pub(crate) per_view: u32,
-    /// Further rays per pixel and view, which end at the first surface: 0 or 1.
-    pub(crate) further_rays: u32,
     /// V: the mean squared error that noise causes in the seen pictures, with one path per pixel
     /// and view.
     pub(crate) noise: f64,
@@ -35,24 +29,19 @@ pub(crate) struct Samples {
 }
 
 impl Samples {
-    /// Chooses the number of paths for `views` views. `shares` is true if the views share light;
-    /// otherwise further rays are not possible.
-    pub(crate) fn new(noise: f64, error: f64, views: usize, shares: bool) -> Self {
+    /// Chooses the number of paths for `views` views. `noise` is V, the mean squared error that
+    /// noise causes with one path per pixel and view.
+    pub(crate) fn new(noise: f64, error: f64, views: usize) -> Self {
         let needed = noise / (NOISE_SHARE * error.max(LEAST_ERROR));
         let most = ((MOST_PATHS / views.max(1)) as u32).max(1);
-        let enough = match needed <= 1.0 || shares && FURTHER_NOISE * needed <= 1.0 {
-            true => Some(1),
-            false => CHOICES.into_iter().find(|&choice| f64::from(choice) >= needed),
-        };
+        let enough = CHOICES.into_iter().find(|&choice| f64::from(choice) >= needed);
         let per_view = enough.unwrap_or(CHOICES[CHOICES.len() - 1]).min(most);
-        let further_rays = u32::from(shares && per_view == 1 && needed > 1.0);
-        Self { per_view, further_rays, noise, error, limited: enough.is_none_or(|enough| enough > most) }
+        Self { per_view, noise, error, limited: enough.is_none_or(|enough| enough > most) }
     }
 
     /// Explains the number of paths in the report.
     pub(crate) fn reason(&self) -> String {
-        let fraction = if self.further_rays > 0 { FURTHER_NOISE } else { 1.0 / f64::from(self.per_view) };
-        let share = 100.0 * fraction * self.noise / self.error.max(LEAST_ERROR);
+        let share = 100.0 * self.noise / f64::from(self.per_view) / self.error.max(LEAST_ERROR);
         let limit = if self.limited {
             format!(
                 "; a view has at most {} paths per pixel, and all views together at most {MOST_PATHS}",
@@ -71,21 +60,12 @@ mod tests {
 
     #[test]
     fn paths_follow_from_noise_and_error_within_limits() {
-        let choose = |noise, error, views| Samples::new(noise, error, views, true);
+        let choose = |noise, error, views| Samples::new(noise, error, views);
         // Without noise one path is enough, for any error of the display.
         assert_eq!((choose(0.0, 1e-3, 169).per_view, choose(0.0, 0.0, 169).limited), (1, false));
         // The equation n = V / (η D) of `samples.rs` gives 4.9 paths, which is rounded up to the
         // next allowed number, 6.
         assert_eq!(choose(4.9 * NOISE_SHARE * 2e-3, 2e-3, 169).per_view, 6);
-        // Up to twice the allowed noise, a further ray per pixel is enough.
-        let of = |needed: f64| choose(needed * NOISE_SHARE * 2e-3, 2e-3, 169);
-        assert_eq!(
-            [1.0, 1.1, 1.9, 2.1].map(|n| (of(n).per_view, of(n).further_rays)),
-            [(1, 0), (1, 1), (1, 1), (3, 0)]
-        );
-        // Views that share no light have no further rays.
-        let alone = Samples::new(1.9 * NOISE_SHARE * 2e-3, 2e-3, 169, false);
-        assert_eq!((alone.per_view, alone.further_rays), (2, 0));
         // A display that is regarded as exact needs the paths of the error [`LEAST_ERROR`], and not
         // more.
         assert_eq!(choose(2.9 * NOISE_SHARE * LEAST_ERROR, -1e-7, 169).per_view, 3);

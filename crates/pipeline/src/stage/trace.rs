@@ -107,7 +107,7 @@ fn trace_views(
     task: Task<'_>,
 ) -> Result<Views, PipelineError> {
     let Shot { job, ingested, .. } = shot;
-    options.check(job, shot.geometry.grid.iter().count())?;
+    options.check(job, shot.display, shot.geometry.grid.iter().count())?;
     let views = options.chosen(shot.geometry.grid.views())?;
     let (window, kind) = (shot.window(), shot.denoise());
     let engine = engine(shot, options, task);

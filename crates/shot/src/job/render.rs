@@ -201,7 +201,7 @@ pub enum Denoise {
     /// No filter: views are unbiased.
     Off,
     /// For each surface point, averages the light that several views see alike. Diffuse light is
-    /// averaged over all views that see the point, and reflections of rough surfaces over
+    /// averaged over the nearest views that see the point, and reflections of rough surfaces over
     /// neighbouring views.
     Shared,
     /// Lumistack's own filter, over all views together.
@@ -270,6 +270,8 @@ impl RenderJob {
     /// ray needs: 28 while light is shared, and two copies of three channels as `f32` while
     /// patterns are solved.
     pub const BYTES_PER_RAY: u64 = 32;
+    /// Smallest number of views that have sparse paths. Fewer views average too few paths.
+    const MANY_VIEWS: usize = 25;
     /// Greatest number of rays for which a display chooses its views: 625 views of 840 × 525
     /// pixels. More would take hours.
     const MOST_RAYS: usize = 625 * 840 * 525;
@@ -301,13 +303,25 @@ impl RenderJob {
         self.samples.unwrap_or(if self.denoise.takes_halves() { spread.max(2) } else { spread })
     }
 
-    /// Returns the number of [further rays](lumistack_pathtracer::Settings::further_rays) of a
-    /// pixel, for views with `samples` paths per pixel whose number of paths is not measured. Only
-    /// views that the display chooses and that share light get such rays. A second ray costs a
-    /// sixth to a half of a path, and smooths edges and textures.
-    pub fn further_rays(display: &Display, denoise: Denoise, samples: u32) -> u32 {
+    /// Adapts the settings of a split view to a display and a filter. All other settings stay. If
+    /// views do not share light, they have neither further rays nor further or sparse paths.
+    ///
+    /// If the display chooses its views, a view with a single path per pixel has a [further
+    /// ray](Settings::further_rays). This ray smooths edges and textures, and costs a sixth to a
+    /// half of a path. If there are many such views, their [paths are
+    /// sparse](Settings::sparse_paths). Only fixed views have [further
+    /// paths](Settings::further_paths), since users may look at each fixed view alone. If a display
+    /// chooses its views, the solver averages the noise that further paths would remove.
+    pub fn split_settings(settings: Settings, display: &Display, denoise: Denoise) -> Settings {
+        let shares = denoise == Denoise::Shared;
         let is_chosen = !matches!(display.field.views, Views::Fixed(_));
-        u32::from(samples == 1 && is_chosen && denoise == Denoise::Shared)
+        let views = display.geometry().map_or(0, |geometry| geometry.grid.iter().count());
+        Settings {
+            further_rays: u32::from(shares && is_chosen && settings.samples == 1),
+            further_paths: shares && !is_chosen,
+            sparse_paths: shares && is_chosen && views >= Self::MANY_VIEWS,
+            ..settings
+        }
     }
 
     /// Returns whether these settings allow a measurement of the number of paths. The measurement
