@@ -93,9 +93,9 @@ fn wrong_views_are_refused() {
     let mut work = placed();
     let view = work.give().unwrap();
     let mut values = work.trace(view).unwrap();
-    refused(&mut work, 1000, values.clone(), "view: expected the values of a view, found 23000");
+    refused(&mut work, 1000, values.clone(), "view: expected the values of a view, found 17000");
     values.pop();
-    refused(&mut work, view, values, "view: expected the values of a view, found 22999");
+    refused(&mut work, view, values, "view: expected the values of a view, found 16999");
     assert!(work.trace(1000).is_err());
     // other settings have other views
     let values = work.trace(view).unwrap();
@@ -104,7 +104,7 @@ fn wrong_views_are_refused() {
     while work.stage() == Stage::Scene {
         work.advance().unwrap();
     }
-    refused(&mut work, view, values, "view: expected the values of a view, found 23000");
+    refused(&mut work, view, values, "view: expected the values of a view, found 17000");
 }
 
 #[test]

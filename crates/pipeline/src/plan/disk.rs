@@ -39,7 +39,10 @@ impl Disk {
         let target = rays(&geometry.grid);
         let is_capture = job.scene.as_deref().is_some_and(is_capture);
         let is_hidden = job.light.background != Background::Environment;
-        let settings = job.split_settings(Settings::default(), display);
+        // if the number of paths will be measured, a view may have a single path and a further ray
+        let views = geometry.grid.iter().count();
+        let samples = if job.render.samples_are_measured() { 1 } else { job.render.samples_of_view(views) };
+        let settings = job.split_settings(Settings { samples, ..Settings::default() }, display);
         Self {
             rays: target + others.iter().flatten().map(rays).sum::<u64>(),
             in_files: if job.render.is_held(geometry) { 0 } else { target },
