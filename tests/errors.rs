@@ -361,8 +361,8 @@ fn a_writer_that_fails_midway_leaves_the_old_output_whole() {
     assert!(before != common::files(&run.join("outputs")));
 }
 
-/// `--plan` reports what a run would refuse, before it prints a step. Wrong options name the place
-/// and the found value.
+/// `--plan` reports what a run would refuse, before it prints a step. The error of a wrong
+/// option names the place and the found value.
 #[test]
 fn a_plan_has_the_errors_of_a_run() {
     let scene = root().join("scenes/still-life/still-life.gltf");

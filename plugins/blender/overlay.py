@@ -186,7 +186,8 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
         cage.color, cage.alpha = WINDOW[:3], 0.3
         cage.color_highlight, cage.alpha_highlight = (1.0, 1.0, 1.0), 1.0
         self._arrow, self._cage = arrow, cage
-        # `target_set_handler` already calls the function `get`, which needs values of `refresh`.
+        # `target_set_handler` calls `_get_cage` at once, which reads `_width`. Without a placement,
+        # `refresh` does not set `_width`.
         self._width = 1.0
         self.refresh(context)
         arrow.target_set_handler("offset", get=self._get, set=self._set)

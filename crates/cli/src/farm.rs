@@ -100,7 +100,7 @@ enum What {
     },
     /// Write the units of a run as a job for a farm manager
     Export {
-        /// Form of the job: a farm manager, or a format that several managers read
+        /// Format of the written job: that of a farm manager, a Makefile, or a shell script
         format: FormatArg,
         /// Job file (.toml; it may have a table [sweep]) or scene
         input: PathBuf,
@@ -425,7 +425,7 @@ fn export(
     let graph = plan.graph(dir, command);
     let folder = maps.iter().find_map(|map| map.of(&graph.folder)).unwrap_or_else(|| graph.folder.clone());
     let files = format.export(&Graph { folder, ..graph });
-    // Decide whether `to` names a folder, or the only file of the format.
+    // If the export has a single file, decide whether `to` names this file or its folder.
     let single = match files.as_slice() {
         [file] => to.file_name().is_some_and(|name| name == file.name.as_str()) || to.extension().is_some(),
         _ => false,

@@ -96,8 +96,8 @@ pub(crate) struct RenderArgs {
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
     /// Animation of a glTF scene, by name or number. Without this flag and without a time, no
-    /// animation plays. With a time, all animations play together, or only the first if two of them
-    /// move the same property of an object
+    /// animation plays. With a time but without this flag, all animations play together, or only
+    /// the first if two of them move the same property of an object
     #[arg(long, value_name = "NAME|N")]
     pub(crate) animation: Option<String>,
     /// Variant of the scene. For glTF, give the name or number of a material variant. For USD, give

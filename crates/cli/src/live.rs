@@ -74,8 +74,9 @@ pub(crate) struct Live {
     /// Do not open the browser
     #[arg(long)]
     pub(crate) no_open: bool,
-    /// Also show the display outside of the browser, in a build with panels. MODE is outputs (one
-    /// surface per panel), span (one surface across all panels) or window (a preview in a window)
+    /// Also show the display outside of the browser. This needs a build with the feature panels.
+    /// MODE is outputs (one surface per panel), span (one surface across all panels) or window (a
+    /// preview in a window)
     #[arg(long, value_name = "MODE", value_parser = ["outputs", "span", "window"])]
     pub(crate) show: Option<String>,
     /// Largest number of iterations from one shown state to the next. An iteration updates every

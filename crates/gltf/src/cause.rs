@@ -56,7 +56,7 @@ pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
 pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) -> String {
     let left_out = left_out(document).map(|reason| format!("; {reason}")).unwrap_or_default();
     match triangles {
-        0 => format!("{found}: the meshes that are shown make no triangles{left_out}"),
+        0 => format!("{found}: the meshes that are shown contain no triangles{left_out}"),
         1 => format!("{found}: the only triangle has no area{left_out}"),
         _ => format!("{found}: none of {triangles} triangles has an area{left_out}"),
     }

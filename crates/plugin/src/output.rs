@@ -138,8 +138,9 @@ unsafe extern "C" fn open<P: OutputPlugin>(
     error: *const ErrorSink,
 ) -> Status {
     let start = || {
-        // SAFETY: the host lends the texts, and the table until `close` returns. If `open` fails,
-        // `close` is not called, and `CloseHost` ends the use of the table.
+        // SAFETY: the host lends the texts for this call, and the table `host` until `close`
+        // returns. If `open` fails, `close` is not called, and `CloseHost` ends the use of the
+        // table.
         let (params, display, host) = unsafe {
             (params_of(P::schema(), params_json)?, lent_text(display_json, "display")?, CloseHost::checked(host)?)
         };

@@ -1,5 +1,5 @@
-//! Plugins in libraries: each runs in a child process, which the running Python interpreter
-//! executes.
+//! Plugins in libraries. Each plugin runs in a child process: a new process of the same Python
+//! interpreter.
 
 use std::ffi::OsString;
 use std::path::PathBuf;

@@ -72,7 +72,7 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     let is_lit = |value: f32| curve.apply([(f64::from(value) * exposure) as f32; 3])[1] >= DARK as f32;
     let surfaces = rays.iter().filter(|(_, surface)| *surface);
     let count = surfaces.clone().count() as f64;
-    // Count the surfaces that are lit after automatic exposure.
+    // Count the pixels whose surfaces are lit after automatic exposure.
     let lit = surfaces.filter(|(value, _)| is_lit(*value)).count() as f64;
     let has_lamps = !scene.lights.is_empty() || scene.materials.iter().any(|material| material.lamp != Lamp::No);
     let message = if has_lamps {

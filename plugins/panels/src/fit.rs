@@ -72,7 +72,7 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
     let fastest = rates.max_by(|a, b| a.0.total_cmp(&b.0));
     if let Some((slow, fast)) = slowest.zip(fastest).filter(|(slow, fast)| fast.0 > 1.01 * slow.0) {
         found.push(format!(
-            "output {} refreshes at {:.2} Hz and output {} at {:.2} Hz: all panels refresh at the slower rate, and frame durations on the faster output vary",
+            "output {} refreshes at {:.2} Hz and output {} at {:.2} Hz: all panels show new frames at the slower rate, and frame durations on the faster output vary",
             slow.1, slow.0, fast.1, fast.0
         ));
     }

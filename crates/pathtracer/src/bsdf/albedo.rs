@@ -123,9 +123,9 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     TABLE.at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-/// Returns B of a dielectric of any index n: the albedo if the rise s(o·h) of `fresnel.rs` replaces
-/// Fresnel's term. B is interpolated linearly in the root of the cosine, in √α, and in the root of
-/// (n − 1)/(n + 1).
+/// Returns B (see the top of this file) of a dielectric with index of refraction n: the albedo if
+/// `dielectric_rise` replaces Fresnel's term. B is interpolated linearly in the root of the cosine,
+/// in √α, and in the root of (n − 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
     static TABLE: LazyLock<Table<3, 1>> = LazyLock::new(|| Table::new(INDICES, tabulate_indices));
     let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;

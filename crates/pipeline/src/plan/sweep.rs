@@ -221,7 +221,8 @@ pub(crate) fn execute(
     let which = job.sweep.as_ref().map(|sweep| sweep.plots).unwrap_or_default();
     let (plots, more_plots) = table::plots(&rows, which).map_err(PipelineError::Plot)?;
     let plots = write_plots(&dir.join("plots"), &plots)?;
-    // Record the used light fields and rows, and remove all other light fields.
+    // Record which light fields and files of rows this sweep used. Remove all other light fields;
+    // files of rows are small, so all of them stay.
     let used_fields = designs.fields.iter().enumerate().filter(|(_, parts)| !parts.is_empty());
     let used_rows = sweep.used.into_inner().unwrap_or_else(PoisonError::into_inner);
     used::keep_only_fields(dir, used_fields.map(|(number, _)| number + 1), used_rows)?;

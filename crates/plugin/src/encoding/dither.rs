@@ -101,7 +101,8 @@ impl ThresholdMap {
         Self { side: BLUE_NOISE_SIDE, thresholds: blue_noise().to_vec() }
     }
 
-    /// Returns the shift of the map, [rows, columns], for number `n`. For a Bayer map, the shifts
+    /// Returns the shift of the map, [rows, columns]. Every channel of a pattern has its own number
+    /// `n`. For a Bayer map, the shifts
     /// for n and n + 1 exchange the two halves of a checkerboard. For a blue-noise map, the shifts
     /// are spread evenly over the map.
     fn shift(&self, n: usize) -> [usize; 2] {

@@ -342,7 +342,7 @@ impl App<'_> {
             }
             misfits(&display, &assigned).into_iter().for_each(|text| (self.emit)(Event::Warning(text)));
         }
-        // All panels refresh at the rate of the slowest output.
+        // All panels show new frames at the rate of the slowest output.
         let reported = self.viewports.iter().filter_map(|viewport| viewport.output.refresh_hz).reduce(f64::min);
         let (refresh_hz, interval_from) = match reported {
             Some(reported) => (reported, "the platform"),
