@@ -165,8 +165,8 @@ fn a_page_moves_its_viewer_and_a_stranger_does_not() {
     live.state(|state| state["zone"] == 1.0);
     live.stop();
 
-    // If a tracker sends positions, the page does not get its secret, so the page cannot send
-    // positions.
+    // If a tracker sends positions, the server gives the page no secret word. Requests that move
+    // the viewer need this word, so the page cannot move the viewer.
     let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let live = Live::start(&job, &run, &["--opentrack", &port.to_string()]);
     let address = live.event(|event| event["event"] == "serving")["address"].as_str().unwrap().to_owned();

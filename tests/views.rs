@@ -59,7 +59,7 @@ fn exposed_views_follow_from_linear_views() {
     for name in ["view_00_00.exr", "view_02_03.exr"] {
         for (shown, radiance) in view(&shown, name).iter().zip(view(&linear, name)) {
             let expected = (f64::from(radiance) * exposure).clamp(0.0, 1.0) as f32;
-            // the views are half floats, which have eleven bits
+            // the files have half floats, whose relative rounding error is at most 2^-11
             assert!((shown - expected).abs() <= 1e-3 * expected + 1e-6, "{shown} is not {expected}");
             brightest = brightest.max(radiance * exposure as f32);
             clipped += usize::from(f64::from(radiance) * exposure > 1.0);

@@ -176,8 +176,8 @@ pub(crate) struct FileArgs {
 #[command(next_help_heading = "Factorization")]
 pub(crate) struct FactorizeArgs {
     /// Number of iterations of the solver. Each iteration updates every layer once, and a
-    /// directional backlight, if there is one [default: 50, or 16 for a scene whose number of views
-    /// is automatic]
+    /// directional backlight, if there is one [default: 50; 16 if a scene is rendered with an
+    /// automatic number of views]
     #[arg(long, value_name = "N")]
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver, which computes the patterns: {}", either(solver_names())))]

@@ -118,7 +118,9 @@ impl State {
             groups: limits.max_compute_workgroups_per_dimension as usize,
         };
         let too_small = || {
-            gpu.error(format!("too little memory: the rays of one row of pixels read more than the device can bind to one program{REMEDY}"))
+            gpu.error(format!(
+                "the data of one row of pixels exceed the largest storage buffer that the device can bind{REMEDY}"
+            ))
         };
         let bands: Option<Vec<_>> = (0..factors.len()).map(|n| sizes.of_factor(n, plan.size(n)[0])).collect();
         let bands = bands.ok_or_else(too_small)?;

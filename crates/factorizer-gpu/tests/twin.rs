@@ -203,7 +203,7 @@ fn one_update_equals_the_processors() {
                     for (tensor, (a, b)) in tensors(expected).zip(tensors(found)).enumerate() {
                         let mut far =
                             a.iter().zip(b).enumerate().filter(|(_, (a, b))| (*a - *b).abs() > PATTERN_TOLERANCE);
-                        // rounding decides a value that almost no light reaches
+                        // a value with little influence is not compared, since rounding decides it
                         let lit = far.find(|(index, _)| influence(&owned, expected, tensor, *index) >= DETERMINED);
                         if let Some((index, (a, b))) = lit {
                             wrong.push(format!("{what}: value {index} of {tensor}: {a} and {b}"));

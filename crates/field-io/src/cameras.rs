@@ -104,10 +104,11 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     cameras.iter().for_each(|(name, _)| *groups.entry(&name.prefix).or_default() += 1);
     let prefix = groups.iter().max_by_key(|(_, count)| **count).map_or(&first.prefix[..], |(prefix, _)| prefix);
     if groups.len() > 1 {
-        let kept = if prefix.is_empty() { "the row".to_owned() } else { format!("`{prefix}`") };
+        let kept =
+            if prefix.is_empty() { "without a prefix".to_owned() } else { format!("with the prefix `{prefix}`") };
         task.warn(
             place(folder),
-            format!("the names of the pictures have different beginnings before row and column; only pictures whose names begin with {kept} are read"),
+            format!("the names of the pictures have different prefixes before the numbers of row and column; only pictures {kept} are read"),
         );
     }
     let prefix = prefix.to_string();

@@ -126,7 +126,7 @@ fn grid_size(folder: &Path, parameters: &Parameters, count: usize, task: Task<'_
             folder,
             "views",
             expected,
-            format!("{count} pictures, which make no square, and no num_cams_x and num_cams_y"),
+            format!("{count} pictures, which make no square, without both num_cams_x and num_cams_y"),
         ));
     }
     task.warn(

@@ -76,8 +76,8 @@ fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
     let meshes = root.meshes.len();
     let unseen = match meshes {
         0 => "the file has no meshes".to_owned(),
-        1 => "no node that is shown has the file's mesh".to_owned(),
-        _ => format!("no node that is shown has one of the file's {meshes} meshes"),
+        1 => "no visible node has the file's mesh".to_owned(),
+        _ => format!("no visible node has one of the file's {meshes} meshes"),
     };
     let listed = match &nodes.scene_place {
         Some(place) => document.json(&format!("{place}/nodes")).and_then(|nodes| nodes.as_array()).map_or(0, Vec::len),
@@ -94,7 +94,8 @@ fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
     }
     let mut shown = nodes.shown.iter().filter_map(|&node| root.nodes[node].mesh).peekable();
     if shown.peek().is_none() {
-        return format!("none of the scene's visible nodes (count: {}) has a mesh, and {unseen}", nodes.shown.len());
+        let count = nodes.shown.len();
+        return format!("none of the scene's visible nodes (count: {count}) has a mesh; meshes in the file: {meshes}");
     }
     if let Some(mesh) = shown.find(|mesh| root.get(*mesh).is_some_and(|mesh| mesh.primitives.is_empty())) {
         return format!("/meshes/{} has no primitives", mesh.value());

@@ -44,8 +44,9 @@ fn longest_without(log: &Log) -> [f64; 2] {
     spans.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0]))).unwrap_or([0.0; 2])
 }
 
-/// Returns the number of refreshes in a time span, the number of late refreshes, and the longest
-/// time between two refreshes in refresh intervals.
+/// Returns the number of refreshes in a time span, the number of gaps between two refreshes that
+/// exceed 1.5 refresh intervals, and the longest gap. The unit of the longest gap is the refresh
+/// interval.
 fn within(log: &Log, [from, to]: [f64; 2]) -> (usize, usize, f64) {
     let interval = 1.0 / 60.0;
     let rows: Vec<_> = log.iter().filter(|row| row[3] >= from && row[3] <= to).collect();

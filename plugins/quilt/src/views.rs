@@ -151,13 +151,13 @@ pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option
     if places(count, available).iter().all(|place| (place - place.round()).abs() < SAME_PLACE) {
         return Ok(None);
     }
-    let have = format!("views across: {available} in the light field, {count} in the quilt");
+    let have = format!("some tiles lie between views: expected {count} views per row, found {available}");
     let render = format!("for one view per tile, render the light field with `views = [{count}, 1]`");
     match missing {
-        Missing::Refuse => Err(PluginError::Refused(format!("{have}: {render}"))),
-        Missing::Nearest => Ok(Some(format!("{have}: every tile shows the nearest view; {render}"))),
+        Missing::Refuse => Err(PluginError::Refused(format!("{have}; {render}"))),
+        Missing::Nearest => Ok(Some(format!("{have}. Every tile shows the nearest view; {render}"))),
         Missing::Blend => {
-            Ok(Some(format!("{have}: neighbouring views are blended, which shows double edges; {render}")))
+            Ok(Some(format!("{have}. Neighbouring views are blended, which shows double edges; {render}")))
         }
     }
 }

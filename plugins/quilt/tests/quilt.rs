@@ -104,10 +104,7 @@ fn views_that_a_light_field_lacks_are_named() {
     let data = OutputData::LightField(&field);
     let params = |missing: &str| json!({"columns": 2, "rows": 3, "missing_views": missing, "view_row": 1});
     let refused = write(&display(), data, params("refuse")).unwrap_err().to_string();
-    assert!(
-        refused.contains("views across: 3 in the light field, 6 in the quilt") && refused.contains("views = [6, 1]"),
-        "{refused}"
-    );
+    assert!(refused.contains("expected 6 views per row, found 3") && refused.contains("views = [6, 1]"), "{refused}");
     let codes = |files: &Files| image::load_from_memory(&files["quilt_qs2x3a1.5.png"]).unwrap().into_rgb8();
     let tile = |picture: &image::RgbImage, view: u32| {
         let part = image::imageops::crop_imm(picture, view % 2 * 6, picture.height() - 4 * (view / 2 + 1), 6, 4);

@@ -77,7 +77,7 @@ impl OutputPlugin for WebSimulator {
             Param::text(
                 "title",
                 "",
-                "Title of the page. If a job does not set it, the title is the job's name; an empty title stands for the display's name. A title in the form of a file's name is converted to words.",
+                "Title of the page. A job without this parameter uses the job's name. If a job sets an empty title, the page shows the display's name. A title in the form of a file's name is converted to words.",
             ),
             Param::text("caption", "", "One sentence below the title; empty for a sentence about the display."),
             Param::text(

@@ -72,10 +72,7 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     assert_eq!((label(&field, [0, 2]), label(&field, [1, 0])), ([2, 0], [0, 1]));
     let uniform = ViewGrid::uniform(Projection::Oblique, [3, 2], [20.0, 20.0]).unwrap();
     assert!(field.geometry().grid.slope_x.iter().zip(&uniform.slope_x).all(|(a, b)| (a - b).abs() < EXACT));
-    assert!(
-        warnings.iter().any(|w| w.contains("only pictures whose names begin with the row are read")),
-        "{warnings:?}"
-    );
+    assert!(warnings.iter().any(|w| w.contains("only pictures without a prefix are read")), "{warnings:?}");
 
     let folder = tempfile::tempdir().unwrap();
     for index in 0..6u8 {

@@ -215,13 +215,12 @@ fn scenes_with_nothing_to_see() {
     let nothing = "expected at least one triangle with area, found none";
     assert_error(&Builder::new(), &format!("/nodes: {nothing}: the file has no nodes, and the file has no meshes"));
     let b = triangle_with(|b| _ = b.set("/scenes/0/nodes", json!([])));
-    let reason = "the scene lists none of the file's nodes (count: 1), and no node that is shown has the file's mesh";
+    let reason = "the scene lists none of the file's nodes (count: 1), and no visible node has the file's mesh";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
     let b = triangle_with(|b| _ = b.set("/nodes/0", json!({"camera": 0})).push("cameras", json!({})));
     assert!(error(&b).contains("/cameras/0"), "{}", error(&b));
     let b = triangle_with(|b| _ = b.remove("/nodes/0/mesh"));
-    let reason =
-        "none of the scene's visible nodes (count: 1) has a mesh, and no node that is shown has the file's mesh";
+    let reason = "none of the scene's visible nodes (count: 1) has a mesh; meshes in the file: 1";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
     let hidden = json!({"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": false}}});
     let b = triangle_with(|b| _ = b.set("/nodes/0", hidden));
@@ -238,7 +237,7 @@ fn scenes_with_nothing_to_see() {
         b.set("/nodes/0", json!({}));
         b.set("/accessors/0/count", json!(4));
     });
-    let reason = "none of the scene's visible nodes (count: 1) has a mesh, and no node that is shown has the file's mesh; data that the scene does not use has a defect: \
+    let reason = "none of the scene's visible nodes (count: 1) has a mesh; meshes in the file: 1; data that the scene does not use has a defect: \
                   /accessors/0/count: expected at most 3, the number of elements for which /bufferViews/0 has room, found 4";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
     let mut flat = Builder::triangle();

@@ -1,7 +1,7 @@
 //! Detects dark crosses on a bright ground.
 //!
-//! Pixels that are darker than their surroundings form connected components. Components that fill
-//! little of their bounding box are crosses. A disc marks the central cross. From the central cross
+//! Pixels that are darker than their surroundings form connected components. Components of about
+//! the median size that fill little of their bounding box are crosses. A disc marks the central cross. From the central cross
 //! a search proceeds from neighbour to neighbour. The centre of a cross is the intersection of two
 //! lines, each of which is fitted to two opposite arms.
 
