@@ -52,7 +52,7 @@ fn files_with_nothing_set() {
     check(&[]);
 }
 
-/// Solves light fields of other projects and checks the error of their views.
+/// Solves light fields of other projects, and checks the PSNR over their views.
 #[test]
 fn foreign_light_fields() {
     let Some(assets) = assets() else { return };

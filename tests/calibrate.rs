@@ -176,7 +176,10 @@ fn masks_for_other_panels_cause_a_warning_and_fit_scales_them() {
                 text.starts_with("layer 0 covers 40 × 30 pixels, and output HEADLESS-1 has 320 × 240"),
                 "{text}"
             ),
-            _ => assert!(text.starts_with("fit: the masks are scaled as if a panel pixel had 0.5000 mm"), "{text}"),
+            _ => assert!(
+                text.starts_with("fit: the masks are scaled as if the pixels of all panels had a pitch of 0.5000 mm"),
+                "{text}"
+            ),
         }
         for (name, [cols, rows], _) in SWAY {
             let mut rgb = Vec::new();

@@ -135,7 +135,10 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     let focal = format!("{:.3}", 1000.0 / diagonal * 36f64.hypot(24.0));
     let found = compared(&["--focal-35mm", &focal]);
     for (found, expected) in found["eye_mm"].as_array().unwrap().iter().zip(eye) {
-        assert!((found.as_f64().unwrap() - expected).abs() < 3.0, "corners to a tenth of a pixel: {found}, {expected}");
+        assert!(
+            (found.as_f64().unwrap() - expected).abs() < 3.0,
+            "position from corners with an error of a tenth of a pixel: {found}, expected {expected}"
+        );
     }
     // The computed position differs slightly from the true position. Some rays then hit the next
     // pixel of a layer, so the pictures differ a little.

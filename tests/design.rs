@@ -255,7 +255,7 @@ fn the_committed_tables_show_the_papers_trends() {
     }
 }
 
-/// Writes weights of 3 × 3 views of which one is 1, and all others are 0.
+/// Writes weights of 3 × 3 views. The weight of the middle view is 1, and all others are 0.
 fn one_view(path: &Path) {
     let header = format!("{:<117}\n", "{'descr': '<f4', 'fortran_order': False, 'shape': (3, 3), }");
     let mut bytes = [b"\x93NUMPY\x01\x00v\x00", header.as_bytes()].concat();
@@ -263,8 +263,8 @@ fn one_view(path: &Path) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// A row has the score that a run of the job has, with the job's weights. A display file of a node
-/// is read again if it changes, and rows do not have a warm start.
+/// A row of a sweep has the score of a run of the same job, with the job's weights. If the display
+/// file of a node changes, the sweep solves again. A sweep refuses a warm start.
 #[test]
 fn a_sweep_solves_as_a_run_does() {
     let folder = tempfile::tempdir().unwrap();

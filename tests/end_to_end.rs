@@ -216,8 +216,8 @@ fn weights_of_zero_are_an_error() {
     assert!(error.contains("weights.npy") && error.contains("at least one weight above 0"), "{error}");
 }
 
-/// One layer can show a single view exactly. Its patterns must be β times the given values, not β
-/// times the nearest half floats.
+/// One layer can show a single view exactly. The layer's patterns must be β times the given values,
+/// not β times the nearest half floats.
 #[test]
 fn a_view_that_one_layer_can_show_is_not_rounded() {
     let folder = tempfile::tempdir().unwrap();

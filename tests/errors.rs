@@ -77,8 +77,8 @@ fn scenes() {
     assert!(text.contains("expected a file with the extension .gltf, .glb") && text.contains("`stl`"), "{text}");
 }
 
-/// A scene file may come from an untrusted source. It may name only regular files in its own
-/// folder, unless the user permits other folders.
+/// A scene file may come from an untrusted source. So the file may name only regular files in its
+/// own folder, unless the user permits other folders.
 #[cfg(unix)]
 #[test]
 fn a_scene_reads_no_files_elsewhere() {

@@ -323,7 +323,7 @@ fn another_program_attaches_by_a_token_and_leaves_the_display_running() {
     live.event(|event| event["event"] == "serving");
     let token = json!({"token": door_of(&run)["token"]});
 
-    // without the token there is one message, and then the end
+    // without the right token, the program sends one message and closes the connection
     for wrong in ["{\"token\": \"0\"}\n", "{\"stop\": true}\n", "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", "\n"] {
         let mut stranger = Attached::connect(&run, wrong);
         let refused = stranger.next().unwrap();

@@ -324,7 +324,7 @@ fn an_output_that_is_unplugged_is_named() {
         std::thread::sleep(Duration::from_millis(300));
         session.unplug(gone);
         let expected = format!(
-            "output {gone}: disconnected while the output showed layer {shows}: check that the panel is plugged in and switched on"
+            "output {gone} was disconnected while it showed layer {shows}. Check that the panel is plugged in and switched on"
         );
         must_end(show, folder.path(), &display.to_toml(), &expected);
     }
@@ -356,7 +356,7 @@ fn an_output_of_an_x_server_that_is_switched_off_or_moved_is_named() {
         let mut show = Show::start(&session, folder.path(), options);
         show.event("swapped");
         randr(&["--output", "DUMMY1", "--off"]);
-        let expected = "output DUMMY1: disconnected while the output showed layer 1: check that the panel is plugged in and switched on";
+        let expected = "output DUMMY1 was disconnected while it showed layer 1. Check that the panel is plugged in and switched on";
         must_end(show, folder.path(), &display.to_toml(), expected);
         randr(&[&place[..], &["320x0"]].concat());
     }

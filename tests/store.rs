@@ -239,8 +239,8 @@ fn outputs_of_a_sequence_are_checked_on_the_light_fields_of_its_times() {
 fn an_output_that_fails_costs_neither_report_nor_other_outputs() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
-    // A file has the name of the output's folder. The run finds it only when it writes the output,
-    // so only this output fails.
+    // A file has the name of the output's folder. The run finds this file only when it writes the
+    // output, so only this output fails.
     succeed(
         lumistack().arg("run").arg(job(folder.path(), 2, "[[outputs]]\nplugin = \"images\"\n")).arg("-o").arg(&run),
     );

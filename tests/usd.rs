@@ -1,4 +1,4 @@
-//! USD on the command line of a machine without OpenUSD: messages state how to install it.
+//! USD on the command line of a machine without OpenUSD: messages state how to install OpenUSD.
 
 use std::path::Path;
 

@@ -28,7 +28,7 @@ fuzz_target!(|data: &[u8]| {
             ("input_Cam003.png", picture),
         ]),
         _ => {
-            // in a folder of pictures, the input is the list of their names
+            // in a folder of pictures, the text lists the names of the pictures
             let names = String::from_utf8_lossy(index);
             let names = names.lines().take(16).filter(|name| !name.is_empty() && name.len() < 100);
             let names: Vec<String> = names.map(|name| format!("{}.png", name.replace(['/', '\0'], "_"))).collect();

@@ -8,7 +8,7 @@ extension. This package contains the panels, the operators and the functions tha
     jobs        the work, step by step              panel       the panels
     pictures    views from files, simulated views   overlay     the drawing in the 3D view
     digest      the validity of kept views          command     `blender --command lumistack`
-    live        a display that follows the scene    cost        number of renders, time of a press
+    live        a display that follows the scene    cost        number of renders, time of a run
 """
 
 from . import command, jobs, live, operators, overlay, panel, settings

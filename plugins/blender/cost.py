@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cost of a press of the button, before it is pressed: number of renders, and time.
+"""Estimates, before the user presses the button, the number of renders and the time of the work.
 
-The time follows from measured rates, seconds per unit of work. The rates are of this session, since
-they depend on the scene and the machine.
+The time follows from measured rates, seconds per unit of work. The rates are kept only for this
+session, since they depend on the scene and the machine.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ _rates: dict[tuple[str, str], float] = {}
 
 
 def record(scene_name: str, kind: str, seconds: float, work: float) -> None:
-    """Records the time of finished work of a kind: an engine of Blender, "GLTF", "USD", "GLTF score",
-    "USD score" or "PATTERNS"."""
+    """Records the rate of finished work of a kind: an engine of Blender, "GLTF", "USD",
+    "GLTF score", "USD score" or "PATTERNS". `work` is the result of the function `work_of_...` for
+    this kind."""
     _rates[scene_name, kind] = seconds / work
 
 
@@ -84,8 +85,8 @@ def frames(scene) -> int:
 
 
 def seconds(scene, display: lumistack.Display) -> float | None:
-    """Returns the time of all renders and patterns; None before the renders were measured. Patterns
-    and the path tracer's views for the score count only after they were measured."""
+    """Returns the time of all renders and patterns, seconds; None before the renders were measured.
+    Patterns and the path tracer's views for the score count only after they were measured."""
     from . import jobs
 
     settings = scene.lumistack
@@ -124,7 +125,7 @@ def lines(scene, display: lumistack.Display) -> list[str]:
         found.append(f"for each of {frames(scene)} frames")
     mib = math.prod(display.light_field_shape) * 4 / 2**20
     if mib > LARGE_MIB:
-        found.append(f"{mib / 1024:.1f} GB of views in memory")
+        found.append(f"{mib / 1024:.1f} GiB of views in memory")
     time_s = seconds(scene, display)
     found.append("Time: unknown until Estimate Time or a first run has measured it" if time_s is None else f"Time: about {duration(time_s)}")
     return found

@@ -23,7 +23,7 @@ _SKIP = {
     "rna_type", "name_full", "session_uid", "is_evaluated", "is_library_indirect", "is_missing", "is_runtime_data", "tag", "use_fake_user",
     "use_extra_user", "users", "is_embedded_data", "original", "select", "show_options", "show_preview", "show_texture", "location_absolute",
     "warning_propagation", "width", "height", "hide", "is_editable", "ui_shortcut", "is_icon_custom", "use_auto_refresh", "location",
-    # Settings that every render sets.
+    # Settings that every render of a view sets, or that do not affect its picture.
     "filepath", "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "use_border", "use_multiview",
     "use_sequencer", "use_stamp", "use_overwrite", "use_placeholder", "use_file_extension", "display_mode", "use_lock_interface", "threads", "threads_mode",
     "preview_samples", "use_preview_denoising", "frame_path", "is_movie_format", "file_extension",
@@ -45,7 +45,7 @@ _HAIR = {"name", "seed", "child_seed", "use_hair_dynamics"}
 _PARTS = {"ColorManagedInputColorspaceSettings", "ColorMapping", "ColorRamp", "CurveMapping", "ImageUser", "MaterialGPencilStyle", "RaytraceEEVEE", "TexMapping", "VolumeRender"}
 _OF_CYCLES = "Cycles"
 _MESHES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
-#: The property of a node's input socket that contains its value.
+#: The property of a node's socket that contains the socket's value.
 _INPUT = "default_value"
 
 
@@ -134,7 +134,8 @@ class _Hasher:
                 self.text(f"{prop.identifier}={part.name}")
             elif kind in _PARTS or kind.startswith(_OF_CYCLES):
                 self.text(prop.identifier)
-                # Blender copies properties of Cycles to evaluated data only with other changes.
+                # Blender copies properties of Cycles to evaluated data only with other changes, so
+                # read them from the original data block.
                 is_late = kind.startswith(_OF_CYCLES) and isinstance(held, bpy.types.ID)
                 self.plain(getattr(held.original, prop.identifier) if is_late else part)
                 for element in getattr(part, "elements", ()):

@@ -304,8 +304,8 @@ def quality(settings) -> tuple[int, int, int]:
 
 
 def is_automatic(settings) -> bool:
-    """Returns true if the number of paths per pixel is measured, as `lumistack run` does. This is the
-    case for automatic views, unless the user sets the number."""
+    """Returns true if the path tracer chooses the number of paths per pixel by a measurement, as in
+    `lumistack run`. This is so for automatic views, unless the user sets the number."""
     return settings.views_from == "AUTO" and settings.quality != "CUSTOM"
 
 

@@ -14,8 +14,8 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-/// A second process of this program runs only this test, when another test interrupts a program or
-/// reads its screen.
+/// A test that interrupts a program, or reads a program's screen, starts a second process of this
+/// test program. That process runs only this function.
 #[cfg(windows)]
 #[test]
 fn helps() {
@@ -124,8 +124,8 @@ pub fn python() -> Option<PathBuf> {
     lumistack_testkit::skip::python_with("numpy")
 }
 
-/// Writes a light field `[view_y][view_x][row][col][rgb]` as `.npy`. It shows a textured plane
-/// behind the display and a bright card in front of it.
+/// Writes a light field `[view_y][view_x][row][col][rgb]` as `.npy`. The light field shows a
+/// textured plane behind the display, and a bright card in front of the display.
 pub fn write_test_field(path: &Path, [views_y, views_x, rows, cols]: [usize; 4], fov_deg: f64, pitch_mm: f64) {
     use npyz::WriterBuilder;
     let half_width = (fov_deg / 2.0).to_radians().tan();

@@ -1,5 +1,5 @@
-# Functions of the other scripts of this folder. The scripts install the files of $DIST, and run the
-# first job of the README with few pixels. CLEAN is set on a machine that is used for this test
+# Functions for the other scripts of this folder. The scripts install the files of $DIST, and run
+# the first job of the README with few pixels. CLEAN is set on a machine that is used for this test
 # only; on it a script may install packages of the system.
 set -eu
 : "${DIST:?must name the folder target/dist}"

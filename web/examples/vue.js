@@ -1,4 +1,5 @@
-// The viewer in Vue 3. For components in .vue files, the bundler's plugin has isCustomElement.
+// The viewer in Vue 3. For components in .vue files, set isCustomElement in the options of the
+// bundler's plugin.
 import "lumistack-viewer";
 import { createApp, ref } from "vue/dist/vue.esm-browser.prod.js";
 

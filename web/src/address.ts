@@ -1,7 +1,7 @@
 // The state in the page's address, so that a link shows the same view.
 import { toHash, type Slope, type State } from "./state.js";
 
-/** Milliseconds between two changes of the address, since browsers limit their rate. */
+/** Milliseconds between two changes of the address, since browsers limit the rate of such changes. */
 const REST_MS = 400;
 
 export class Address {

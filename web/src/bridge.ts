@@ -104,5 +104,5 @@ async function ask(what: string, content: object, refusable = false): Promise<An
 
 function strange(what: string, expected: string, found?: unknown): Problem {
   const end = found === undefined ? "" : `, found “${String(found)}”`;
-  return new Problem(`Looking Glass Bridge answers to ${what} without ${expected}${end}.`, "See the messages of Bridge. The page speaks the protocol of Bridge 2.2.", false);
+  return new Problem(`Looking Glass Bridge: expected ${expected} in the answer to ${what}${end}.`, "See the messages of Bridge. The page speaks the protocol of Bridge 2.2.", false);
 }

@@ -19,7 +19,7 @@ export function toPng(canvas: HTMLCanvasElement): Promise<Blob> {
   return new Promise((resolve, reject) => canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("the browser made no picture"))), "image/png"));
 }
 
-/** Returns the format in which this browser records a canvas; undefined if it cannot record one. */
+/** Returns the format in which this browser records a canvas; undefined if it cannot record a canvas. */
 export function videoFormat(): string | undefined {
   if (typeof MediaRecorder === "undefined" || !("captureStream" in HTMLCanvasElement.prototype)) return undefined;
   return FORMATS.find((format) => MediaRecorder.isTypeSupported(format));

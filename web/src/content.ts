@@ -45,7 +45,7 @@ export class StackContent implements Content {
     this.missing = Array.from({ length: this.info.frames }, (_, frame) => this.info.files.filter((file) => file.frame === frame).length);
   }
 
-  /** Opens the preview in the simulator, which checks it. */
+  /** Opens the preview in the simulator, which checks the preview. */
   async open(engine: Engine, stage: Stage): Promise<void> {
     this.about = await openPreview(engine, this.json);
     this.engine = engine;

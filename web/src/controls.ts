@@ -175,7 +175,7 @@ export class Controls {
     const { face } = this.on;
     if (this.tilt.on) this.tilt.stop();
     else if (!(await this.tilt.start((slope) => this.on.look(slope)))) {
-      face.notice("No tilt arrives from this device: allow motion sensors for this page in the browser’s settings and try again.", "passing");
+      face.notice("This device reports no tilt. Allow motion sensors for this page in the browser’s settings, and try again.", "passing");
     }
     face.at("tilt").setAttribute("aria-pressed", String(this.tilt.on));
   }

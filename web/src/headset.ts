@@ -8,7 +8,7 @@ import type { Slope } from "./state.js";
 const AWAY_M = 0.7;
 /** Smallest distance of an eye from the display at which a picture is drawn, mm. */
 const NEAREST_MM = 30;
-/** Largest change of an eye's slope that needs no new picture: a hundredth of a degree. */
+/** Largest change of an eye's slope that needs no new picture: about a hundredth of a degree. */
 const STILL = 2e-4;
 
 const VERTEX = `#version 300 es

@@ -1,5 +1,5 @@
-// Weaves the views for a lenticular panel: each subpixel shows the view towards which its lens
-// sends its light.
+// Weaves the views for a lenticular panel: each subpixel shows the view in whose direction a lens
+// sends the subpixel's light.
 import { zoneSlope, type Info } from "./info.js";
 import type { Views } from "./others.js";
 import { Problem } from "./problem.js";
@@ -63,8 +63,8 @@ function isFlag(value: number): boolean {
 }
 
 /**
- * Reads a calibration file; messages name it by `name`. `plugins/quilt/src/weave.rs` reads the same
- * fields and has the same equations.
+ * Reads a calibration file; messages name the file by `name`. `plugins/quilt/src/weave.rs` reads
+ * the same fields and has the same equations.
  */
 export function calibrationOf(text: string, name: string): Calibration {
   const wrong = (place: string, expected: string, found: unknown): Problem =>

@@ -4,7 +4,7 @@ import { Problem, problemOf } from "./problem.js";
 import type { Engine } from "./engine.js";
 import type { Info } from "./info.js";
 
-/** Half the full angles of the viewing zone along x and y, degrees. Files do not state them, so they are assumed. */
+/** Half the full angles of the viewing zone along x and y, degrees. Files do not state these angles, so they are assumed. */
 const HALF_ANGLE: readonly [number, number] = [17.5, 10];
 
 /**

@@ -5,7 +5,7 @@ import type { Motion } from "./motion.js";
 export interface Loop {
   /** True if there is a picture to draw. */
   can(): boolean;
-  /** Advances slow motion by `dtS` seconds. `on` is true if it continues, `changed` if another frame is shown. */
+  /** Advances slow motion by `dtS` seconds. `on` is true while slow motion runs, `changed` if another frame is shown. */
   play(dtS: number): { on: boolean; changed: boolean };
   draw(): void;
 }

@@ -21,7 +21,7 @@ export interface Views {
 
 /** Time that a browser may need to store a saved quilt, milliseconds. */
 const STORE_MS = 800;
-/** Key of the folder's name in the browser's storage. */
+/** Key in the browser's storage. Its value is the folder in which the browser saves files. */
 const FOLDER = "lumistack-folder";
 
 export class Others {

@@ -31,7 +31,7 @@ export interface PathChange {
   why?: string;
 }
 
-/** Time of WebGL2 for a picture, milliseconds. If it is exceeded, the processor's time is also measured. */
+/** Limit of the time of WebGL2 for a picture, milliseconds. If WebGL2 takes longer, the processor's time is also measured. */
 const SLOW_MS = 60;
 /** Number of pictures whose time through WebGL2 is measured. */
 const TESTS = 2;

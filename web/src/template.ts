@@ -91,7 +91,7 @@ export const TEMPLATE = `
     </div>
     <details class="part" id="build">
       <summary>How it is built</summary>
-      ${range("gain", "Adaptation", "Factor on the light; 1/β, for brightness β, is an adapted eye.")}
+      ${range("gain", "Adaptation", "Factor on the light. For an eye that is adapted to the brightness β, the factor is 1/β.")}
       ${range("gap", "Gap error", "Added to every gap between layers.")}
       ${range("shiftx", "Misalignment across", "Offset of the front layer to the right.")}
       ${range("shifty", "Misalignment upwards", "Offset of the front layer upwards.")}

@@ -1,5 +1,5 @@
-// The map of the viewing zone: it shows the target's views and the eye's position, and the user can
-// move the eye in it.
+// The map of the viewing zone. It shows the target's views and the eye's position. The user can
+// move the eye on the map.
 import { zoneSlope, type Info } from "./info.js";
 import type { Slope } from "./state.js";
 import { REACH } from "./motion.js";

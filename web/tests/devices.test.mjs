@@ -150,7 +150,7 @@ test("a phone that reports no pose gives a message", async () => {
   assert.equal(await complete(page), undefined);
   await page.tap("#tilt");
   await page.waitForTimeout(1800);
-  assert.match((await text(page, "#notice")) ?? "", /No tilt arrives/);
+  assert.match((await text(page, "#notice")) ?? "", /reports no tilt/);
   assert.equal(await shadow(page, `(root) => root.querySelector("#tilt").ariaPressed`), "false");
   await page.context().close();
 });

@@ -360,7 +360,7 @@ test("a Bridge that is absent, has no panel or refuses is reported in words", as
   for (const [change, message] of [
     [() => undefined, /^Looking Glass Bridge does not answer on this computer: .*\. Start Looking Glass Bridge/],
     [(what, answer) => (what === "available_output_devices" ? { ...answer, payload: map({ 0: device(0, {}) }) } : answer), /^Looking Glass Bridge runs, but has no panel\./],
-    [(what, answer) => (what === "insert_playlist_entry" ? { ...answer, status: word("status", "Failure") } : answer), /^Looking Glass Bridge answers to insert_playlist_entry without “Completion” or “Pending”, found “Failure”\./],
+    [(what, answer) => (what === "insert_playlist_entry" ? { ...answer, status: word("status", "Failure") } : answer), /^Looking Glass Bridge: expected “Completion” or “Pending” in the answer to insert_playlist_entry, found “Failure”\./],
   ]) {
     await bridge(page, change);
     await page.fill("#stored", "/home/me/Downloads/");

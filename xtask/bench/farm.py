@@ -174,7 +174,7 @@ def main() -> int:
         one, two = figures["workers_1_seconds"], figures["workers_2_seconds"]
         print(f"{size['times']} time steps, {size['cols']} × {size['rows']} pixels: lumistack run {figures['run_seconds']:.1f} s")
         print(f"one worker   {one:6.1f} s   predicted {from_one[1]:6.1f} s ({from_one[1] / one - 1:+.0%})")
-        print(f"two workers  {two:6.1f} s   predicted {from_one[2]:6.1f} s ({from_one[2] / two - 1:+.0%}), by their own times {from_two[2]:.1f} s ({from_two[2] / two - 1:+.0%})   {one / two:.2f} times faster")
+        print(f"two workers  {two:6.1f} s   predicted {from_one[2]:6.1f} s ({from_one[2] / two - 1:+.0%}), from the times of two workers {from_two[2]:.1f} s ({from_two[2] / two - 1:+.0%})   {one / two:.2f} times faster")
         for workers in (10, 100, 1000):
             print(f"{workers:4} workers  predicted {from_one[workers]:6.1f} s   {from_one[1] / from_one[workers]:.1f} times faster than one")
         figures["seams"] = seams(place, job, size["times"])

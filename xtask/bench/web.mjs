@@ -94,7 +94,8 @@ for (const { name, connection, slowdown, limits } of PROFILES) {
 }
 for (const { name, connection } of other ? PROFILES.slice(0, 2) : []) {
   state.connection = connection;
-  // A frame of Firefox may wait for the compositor, which works in software here.
+  // A frame of Firefox may wait for the compositor, which works in software here. So the longest
+  // task has no limit.
   await profile(`Firefox, ${name}`, { painted: LIMITS.painted, interactive: LIMITS.interactive }, async () => {
     const page = await other.newPage();
     await page.evaluateOnNewDocument(watch);

@@ -1,4 +1,5 @@
-// Measures the page that solves in headless Chromium: `node web_solve.mjs LUMISTACK FOLDER MODEL`.
+// Measures the page that computes patterns (`preview --solve`), in headless Chromium:
+// `node web_solve.mjs LUMISTACK FOLDER MODEL`.
 // LUMISTACK is the command, FOLDER gets the results, and MODEL is a glTF file.
 //
 // Drops the model as a single .glb on the page, at 160 columns, three layers and six frames. Prints

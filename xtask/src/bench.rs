@@ -16,7 +16,7 @@ cargo xtask bench [what]
 
   (nothing)     `factorize --no-peers`, then `render --no-peers`
   factorize     the paper's main case, 840×525 pixels, 5×5 views, 3 layers, 6 frames: time per update of every
-                solver, time to the quality of 50 iterations of the paper's rule, and the fractions of the machine's
+                solver, time to the quality of 50 iterations of the paper's rule, and the reached fractions of the machine's
                 limits; compared with the same update in NumPy and PyTorch, run in turn on the same data (some minutes)
       --quick        a quarter of the resolution
       --no-peers     without NumPy and PyTorch
@@ -39,7 +39,7 @@ cargo xtask bench [what]
       --full         twice the resolution, more samples in the references (25 minutes each)
       --no-peers     only our own measurements
   big [scene.gltf]      1,100 copies of a scene, which share its memory; with FlightHelmet they are 100 million triangles
-  field [scene.gltf]    light fields with averaged shared light, without and with further paths, compared with the same views rendered one by
+  field [scene.gltf]    light fields whose views share light, without and with further paths, compared with the same views rendered one by
                 one: processor time at equal squared error, including bias. Cases: 5×5 and 13×13 views over 20°, the 45 views of a quilt,
                 many copies. Then all filters compared with unfiltered views in equal time, with 4, 16 and 64 samples. Scenes as for
                 `render` (some twenty minutes)
@@ -74,7 +74,7 @@ cargo xtask bench [what]
   web           the simulator's page in headless Chromium and Firefox, with the preview of still-life: time to the poster, to the first
                 movement and to the picture, the longest task, and all bytes, also on an emulated connection and a slow processor; time
                 per frame through WebGL2 and on the processor; screenshots of the first five seconds. A missed limit is an error
-      --solve        the page that solves, with FlightHelmet, which LUMISTACK_ASSETS must have: time to the first picture, zone score over
+      --solve        the page that computes patterns, with FlightHelmet, which LUMISTACK_ASSETS must have: time to the first picture, zone score over
                 time compared with the final score, animation frames per second, memory; then the page's own scenes, and the
                 command's result for one of them
   fuzz          random changes to files of every kind that is read, whole and packed, from our own corpora and those of other

@@ -143,7 +143,7 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
 /// Prints the head of the table of light fields; `last` is the name of its last column.
 fn head(last: &str) {
     println!(
-        "\n| scene | views, zone | samples | light | CPU s | squared error | worst view | bias in it | mean | mean view's variance | {last} |"
+        "\n| scene | views, zone | samples | light | CPU s | squared error | worst view | bias | mean | mean view's variance | {last} |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
 }

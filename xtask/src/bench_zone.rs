@@ -179,7 +179,7 @@ fn beside_fixed(cases: &[Case], rounds: usize) -> Outcome {
 /// Measures the zone score for several numbers of views, with the same number of samples summed
 /// over all views.
 fn by_views(case: &Case) -> Outcome {
-    println!("\n{}: {SAMPLES} samples per pixel, summed over all views and rounded up per view", case.name);
+    println!("\n{}: {SAMPLES} samples per pixel, divided among the views and rounded (at least one)", case.name);
     println!("| views | psnr_zone | worst tenth | SSIM | FLIP | wall s | factorize s |\n|---|---|---|---|---|---|---|");
     let fixed = [3, 5, 7, 9, 11, 15, 19].map(|count| format!("views = [{count}, {count}]\n"));
     for views in fixed.into_iter().chain(["views = \"auto\"\n".to_owned()]) {

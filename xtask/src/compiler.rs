@@ -50,7 +50,7 @@ pub fn choose(folder: &Path, strict: bool) -> io::Result<()> {
     Ok(())
 }
 
-/// If [`choose`] was called, a call of cargo by `command` uses this compiler.
+/// Makes a call of cargo by `command` use this compiler, if [`choose`] was called.
 pub fn set(command: &mut Command) {
     if let Some((compiler, strict)) = CHOSEN.get() {
         command.env(WRAPPER, compiler);

@@ -73,7 +73,7 @@ impl Copy {
         Ok(Self(place))
     }
 
-    /// The folder of the copy.
+    /// Returns the folder of the copy.
     pub fn place(&self) -> &Path {
         &self.0
     }

@@ -101,8 +101,8 @@ pub fn install() -> Outcome {
         cargo.args(arguments).current_dir(&into).env("CARGO_TARGET_DIR", from.join("build"));
         run(&mut cargo)
     };
-    // Check each package by itself. In one call for all packages, a package could use features that
-    // only another package enables.
+    // Check each package for users by itself. In one call for all packages, a package could use
+    // features that only another package enables.
     for user in FOR_USERS {
         cargo(&["check", "--quiet", "--package", &format!("lumistack-{user}")])?;
     }

@@ -79,7 +79,7 @@ fn sample(target: &Path, folder: &Path) -> Outcome {
         build.arg("--manifest-path").arg(root().join(SAMPLE).join("Cargo.toml"));
         // debug information would take a fifth of the build
         build.env("CARGO_PROFILE_DEV_DEBUG", "false");
-        // authors compile with rustc itself
+        // authors of plugins compile with rustc, not with the compiler of `cargo xtask ci`
         build.env_remove(compiler::WRAPPER);
         run_program(&mut build)?;
     }
@@ -159,7 +159,7 @@ fn text<'a>(value: &'a Value, key: &str) -> &'a str {
     value[key].as_str().unwrap_or_default()
 }
 
-/// Writes the page of one plugin.
+/// Makes the page of one plugin.
 fn page(plugin: &Value, described: &str) -> String {
     let (id, kind) = (text(plugin, "id"), text(plugin, "kind"));
     let mut page =

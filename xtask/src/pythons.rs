@@ -91,8 +91,8 @@ fn oldest() -> Outcome<PathBuf> {
 }
 
 /// Makes the newest Python of Debian in `target/debian-newest`, without installing it. This Python
-/// may need a newer C library than this machine has, so a script starts it with a library of its
-/// own.
+/// may need a newer C library than this machine has, so a script starts it with the C library that
+/// is unpacked with it.
 fn newest() -> Outcome<PathBuf> {
     let folder = tools::root().join("target/debian-newest");
     let python = folder.join("usr/bin/python3");

@@ -116,7 +116,7 @@ pub fn build() -> Outcome {
 pub fn pages() -> Outcome {
     let committed = fs::read_to_string(root().join(HASH)).unwrap_or_default();
     if committed.lines().next() != Some(&module_hash()?) {
-        return Err("web: the modules' sources have changed: run `cargo xtask web`".into());
+        return Err("web: the modules' sources have changed; run `cargo xtask web`".into());
     }
     for Module { name, .. } in &MODULES {
         let [built, used] = [PACKAGE, DIST].map(|folder| fs::read(root().join(folder).join(format!("{name}_bg.wasm"))));
@@ -146,7 +146,7 @@ pub fn check() -> Outcome {
         if now != committed {
             let (now, committed) = (now.unwrap_or("none"), committed.unwrap_or("none"));
             let remedy = "run `cargo xtask web`, and commit the files in web/dist";
-            return Err(format!("web: {DIST}: expected {committed}, the hash of {what}, found {now}: {remedy}"));
+            return Err(format!("web: {DIST}: expected {committed}, the hash of {what}, found {now}; {remedy}"));
         }
     }
     measure()?;

@@ -46,8 +46,8 @@ pub(crate) struct Analyze {
     #[command(flatten)]
     files: FileArgs,
     /// Largest distance from the display plane at which the bound is computed and plotted,
-    /// millimetres. The default is at least 20 mm. It includes the layers, the lens array,
-    /// the scene and the depth of field, each with a margin
+    /// millimetres. The default is at least 20 mm, and large enough for the layers, the lens
+    /// array, the scene and the depth of field, each with a margin
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Also compute patterns of every display for gratings (stripes of one frequency) at many
@@ -255,7 +255,7 @@ fn achieved(found: &[Contrast]) -> [String; 3] {
     [
         line(
             "Achieved",
-            "highest frequencies with at least half of the grating's contrast (1 stands for the finest detail of the pixels). Patterns for more views, seen from the whole zone",
+            "highest frequencies that keep half of the grating's contrast (1: the finest detail of the pixels), with patterns for more views, seen from the whole zone",
             Achieved::WithMoreViews,
         ),
         line("", "patterns for the display's own views, seen from the whole zone", Achieved::InBetween),

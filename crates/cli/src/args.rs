@@ -10,7 +10,8 @@ use crate::groups::{
 };
 use crate::values::Numbers;
 
-/// Heading of the options that every command has. Help pages print them after the command's own.
+/// Heading of the options that every command has. Help pages print these options after the options
+/// of the command itself.
 const GENERAL: &str = "General options";
 
 /// Turn 3D scenes into glasses-free 3D: render a scene from many directions, and compute the

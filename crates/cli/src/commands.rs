@@ -134,7 +134,7 @@ fn finish(
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
     let summary = run_job(job, folder, registry, Some(line), task)?;
-    // Print the result: as JSON, of a sequence, of several displays, or of a single display.
+    // Print the result as JSON, or as text for a sequence, for several displays or for one display.
     if !json {
         summary.lacking.iter().for_each(|lacking| say!("Scene: {lacking}"));
     }

@@ -41,8 +41,8 @@ pub(crate) struct New {
     /// fewer than layers; 0 stands for a single layer without a gap
     #[arg(long, value_name = "MM,...", value_delimiter = ',')]
     pub(crate) gaps_mm: Option<Vec<f64>>,
-    /// Columns and rows of every panel [default: the resolution of the first of
-    /// these outputs of the desktop: --outputs, otherwise all]
+    /// Columns and rows of every panel [default: the resolution of the first of --outputs,
+    /// or else of the desktop's first output]
     #[arg(long, value_name = "CxR")]
     pub(crate) panel_resolution: Option<Size>,
     /// Pixel pitch of every panel, millimetres
@@ -70,8 +70,8 @@ pub(crate) struct New {
     /// number that does not flicker: the refresh rate divided by 60, rounded down, at least 1
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
-    /// Refresh rate of the panels, hertz [default: the refresh rate of that output of the
-    /// desktop whose resolution is the default of --panel-resolution; without outputs 60]
+    /// Refresh rate of the panels, hertz [default: the refresh rate of the first of
+    /// --outputs, or else of the desktop's first output; 60 without outputs]
     #[arg(long, value_name = "HZ")]
     pub(crate) refresh_hz: Option<f64>,
     /// Brightness scale β [default: 0.2]

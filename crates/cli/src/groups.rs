@@ -266,8 +266,8 @@ pub(crate) struct FieldLookArgs {
 #[derive(Debug, ClapArgs)]
 #[command(next_help_heading = "Display")]
 pub(crate) struct FactorizeDisplayArgs {
-    /// The display: a name that `lumistack displays` lists, or a display file. The light field
-    /// replaces the display's resolution and views by its own
+    /// The display: a name that `lumistack displays` lists, or a display file. The
+    /// resolution and the views of the light field replace those of the display
     #[arg(long, value_name = "NAME|FILE", default_value = "paper-three-layer")]
     pub(crate) display: OsString,
     /// Number of frames M that the display shows in quick succession [default: the display's]
@@ -382,7 +382,8 @@ pub(crate) fn tone_of(name: &str) -> Tone {
     }
 }
 
-/// Removes the source and the numbers of a window, so that options can place it.
+/// Resets the keys `from`, `centre`, `forward`, `up` and `width` of a window, so that options can
+/// place the window.
 fn unplace(window: &mut WindowJob) {
     let WindowJob { from, centre, forward, up, width, .. } = WindowJob::default();
     (window.from, window.centre, window.forward, window.up, window.width) = (from, centre, forward, up, width);
@@ -544,8 +545,8 @@ pub(crate) fn geometry(args: &GeometryArgs) -> GeometryFlags {
 mod tests {
     use super::*;
 
-    /// The command line takes precedence over a window that the job gives by numbers, or at a
-    /// camera's plane of focus.
+    /// Options of the command line replace a window that the job places by numbers or at a camera's
+    /// plane of focus.
     #[test]
     fn options_place_the_window_of_any_job() {
         #[derive(clap::Parser)]

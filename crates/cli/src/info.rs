@@ -239,7 +239,8 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
         json!({ "job": serde_json::to_value(&job).expect("jobs serialize"), "display": display(&resolved)["display"] });
     if let Some([memory, disk]) = needs_of(&job) {
         value["memory of a run"] = format!("at most {}", size_text(memory)).into();
-        // Time steps and designs add up; `run --plan` and `sweep --plan` print their sum.
+        // A sequence or a sweep needs disk space for all its time steps or designs. `run --plan`
+        // and `sweep --plan` print the sum.
         if job.sequence.is_none() && job.sweep.is_none() {
             value["disk space of a run"] = format!("about {}", size_text(disk)).into();
         }
@@ -320,7 +321,8 @@ fn several(path: &Path) -> Option<Value> {
             result[text] = parts.into();
         }
     }
-    // With several displays, the scores of the whole report are those of the first display.
+    // With several displays, the scores of the whole report are those of the first display, so they
+    // are omitted.
     if !result["displays"].is_null() {
         for key in ["psnr_view", "psnr over the zone", "flicker", "time steps"] {
             result[key] = Value::Null;

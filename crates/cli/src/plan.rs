@@ -29,7 +29,7 @@ pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -
     table(&plan).into_iter().for_each(|line| say!("{line}"));
     if plan.assumes_blender {
         say!(
-            "This plan assumes that Blender renders the views. If Lumistack's path tracer supports all content of the file, it renders more views, which need more time, memory and disk space: --engine lumistack plans this case"
+            "This plan assumes that Blender renders the views. If Lumistack's path tracer supports all content of the file, the path tracer renders the views instead. It renders more views, which need more time, memory and disk space; --engine lumistack plans this case"
         );
     }
     Ok(())

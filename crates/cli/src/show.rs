@@ -398,7 +398,7 @@ fn print_report(report: &Report) {
             tally.late, tally.repeated, tally.dropped, tally.out_of_order
         )
     };
-    // Some platforms do not report when pictures were shown. Then only the times of submission are
+    // Some platforms do not report when frames were shown. Then only the times of submission are
     // known.
     match (report.presented.is_empty(), &report.submitted) {
         (true, Some(submitted)) => say!(

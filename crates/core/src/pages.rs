@@ -22,7 +22,8 @@ pub fn prefer_large_pages<T>(memory: &[T]) {
     }
 }
 
-/// Copies a large array into large pages if the system has them. Returns other arrays unchanged.
+/// Copies a large array into memory for which it requests large pages. Returns a small array
+/// unchanged, and on systems other than Linux any array.
 pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
     if cfg!(not(target_os = "linux")) || size_of_val(values.as_slice()) < 2 * LARGE_PAGE {
         return values;

@@ -27,12 +27,12 @@ impl Progress for NoProgress {
     fn end(&self) {}
 }
 
-/// A flag that requests running work to stop. Clones share the flag.
+/// A flag by which a caller stops running work. Clones share the flag.
 #[derive(Clone, Debug, Default)]
 pub struct Cancel(Arc<AtomicBool>);
 
 impl Cancel {
-    /// Requests all work that holds this flag to stop.
+    /// Requests a stop of all work that holds this flag or a clone of it.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::Relaxed);
     }

@@ -31,7 +31,7 @@ pub trait Lend: Send + Sync {
         None
     }
 
-    /// Returns the storage that creates arrays of similar size in files, if the values themselves
+    /// Returns the storage in which callers create arrays of similar size, if the values themselves
     /// are in a file.
     fn storage(&self) -> Option<&Storage> {
         None
@@ -160,7 +160,7 @@ impl<const N: usize> Tensor<N> {
         &self.data()[range]
     }
 
-    /// Returns the storage that creates arrays of similar size in files, if the values themselves
+    /// Returns the storage in which callers create arrays of similar size, if the values themselves
     /// are in a file.
     pub fn storage(&self) -> Option<&Storage> {
         self.lender()?.storage()

@@ -1,6 +1,6 @@
-//! Limits of a display that follow only from its description: bound on depth of field, spectral
-//! support, viewing zone, frame rate and brightness. If there is a scene, its depths are compared
-//! with these limits.
+//! Limits of a display that follow only from its description: bound on spatial frequency, depth of
+//! field, spectral support, viewing zone, frame rate and brightness. If there is a scene, its
+//! depths are compared with these limits.
 
 mod plots;
 mod text;

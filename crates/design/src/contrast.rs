@@ -29,9 +29,10 @@
 //! * *In between*: over rays of the whole zone, with [`POINTS`] rays per pixel and at least two
 //!   slopes per view. This covers the whole emission, including the pixels' shape.
 //! * *With more views*: over the same rays, for patterns that are solved for more views. There is
-//!   one view per [`angular_footprint`](Display::angular_footprint), which is as many as the bound
-//!   can use. This measures the hardware; *in between* measures the display with its own number of
-//!   views. If the display itself has at least as many views, both measures are equal.
+//!   one view per [`angular_footprint`](Display::angular_footprint); the bound allows no detail
+//!   that needs more views. This measures the hardware; *in between* measures the display with its
+//!   own number of views. If the display itself has at least as many views, *in between* and *with
+//!   more views* are equal.
 //!
 //! The contrast *in between* obeys the bound, except in narrow zones. A zone is narrow if a grating
 //! moves by at most [`HALF_SINC`] periods over it. In such a zone, even a picture that is the same
@@ -90,8 +91,8 @@ pub struct Contrast {
     pub contrast: f64,
     /// Contrast of the whole emission into the viewing zone.
     pub between: f64,
-    /// Contrast of the whole emission, for patterns that are solved for as many views as the bound
-    /// can use.
+    /// Contrast of the whole emission, for patterns that are solved for one view per angular
+    /// footprint.
     pub dense: f64,
 }
 

@@ -1,7 +1,7 @@
 //! Analysis of displays, and comparison of designs.
 //!
 //! ```text
-//! Display ──▶ analysis: bound on depth of field, spectral support, zone, ... ──▶ text, JSON, plots
+//! Display ──▶ analysis: bound, depth of field, spectral support, zone, ... ──▶ text, JSON, plots
 //! Display ──▶ contrast: gratings at many depths through the solved stack ──▶ achieved contrast
 //! results of a sweep ──▶ table: CSV, maps and curves like the paper's Figures 7 and 8
 //! pictures ──▶ sheet: pictures next to each other, with text

@@ -3,8 +3,9 @@
 use lumistack_display::{Display, Projection, Views};
 
 /// Returns the difference of slope between neighbouring views, [horizontal, vertical]. For a fixed
-/// number of views, this is the width of one of the equal bins of the zone, also for one view. For
-/// other views, the step of an axis with one view is 0. An invalid display has step 0.
+/// number of views, this is the width of one of the equal bins of the zone, also for one view. If
+/// the number of views is not fixed, the step of an axis with one view is 0. An invalid display has
+/// step 0.
 pub(crate) fn view_step(display: &Display) -> [f64; 2] {
     match display.field.views {
         Views::Fixed(views) => {

@@ -130,7 +130,7 @@ pub struct NodeRow {
     pub psnr_worst_db: Option<f64>,
 }
 
-/// Largest PSNR in the table. An exact display has an infinite PSNR, which JSON cannot store.
+/// Largest PSNR in the table, dB. An exact display has an infinite PSNR, which JSON cannot store.
 pub const MOST_DB: f64 = 200.0;
 
 /// Writes the table as CSV: a line of names, then a line per row. Several time steps add a column
@@ -276,7 +276,8 @@ impl Axis {
     }
 
     /// Returns true if designs differ along this axis. A vertical value often follows from the
-    /// horizontal one, for example if all angles of view are square. Then it is no axis of its own.
+    /// horizontal value, for example if both fields of view are equal. The vertical value is then
+    /// no separate axis.
     fn varies(self, rows: &[Row]) -> bool {
         let differ = |rows: &[Row]| values(rows, self).len() > 1;
         match self {
@@ -315,7 +316,7 @@ impl Axis {
 /// A plot of the table: the stem of its file name, and the SVG.
 pub type Plot = (String, String);
 
-/// Largest number of plots of one kind.
+/// Largest number of maps per pair of axes, and of plots of curves per axis.
 const MOST_PLOTS: usize = 12;
 /// Largest number of plots if the job does not request all.
 const FEW_PLOTS: usize = 6;
@@ -643,7 +644,7 @@ mod tests {
         );
     }
 
-    /// Rows of designs with these angles of view and these numbers of lenslets.
+    /// Makes rows of designs with these fields of view and these numbers of lenslets.
     fn rows_of(designs: &[([f64; 2], [usize; 2])]) -> Vec<Row> {
         let row = |&(fov_deg, lenslets)| {
             let row = rows().swap_remove(0);

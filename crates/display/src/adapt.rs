@@ -14,9 +14,10 @@ const MOST_BINS: usize = 64;
 impl Display {
     /// Returns this display at another resolution. The field becomes `resolution` = [columns, rows]
     /// pixels over the same width. The numbers of mask pixels and of lenslets change in proportion
-    /// to the field's. The lenslets cover at least the same fraction of the field as before. Point
-    /// spreads keep their width in millimetres, so that a coarse preview blurs as the display does.
-    /// Physical panels stay the same, and colour filters stay stripes of one mask column.
+    /// to the number of field pixels. The lenslets cover at least the same fraction of the field as
+    /// before. Point spreads keep their width in millimetres, so that a coarse preview blurs as the
+    /// display does. Physical panels stay the same, and colour filters stay stripes of one mask
+    /// column.
     #[must_use]
     pub fn with_resolution(&self, resolution: [usize; 2]) -> Self {
         let mut display = self.clone();
@@ -247,7 +248,7 @@ mod tests {
         let bin = |tap: &crate::BacklightTap| match tap {
             crate::BacklightTap::Lit { bin, .. } => Some(*bin),
             crate::BacklightTap::Missed => None,
-            other => panic!("{other:?}: beyond the bins"),
+            other => panic!("{other:?}: outside the bins"),
         };
         (0..views).map(|view| taps(view).iter().filter_map(bin).collect()).collect()
     }

@@ -67,8 +67,9 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
         if let Backlight::Lenslets(lenslets) = &display.backlight {
             let count = lenslets.lenslets[axis.index()];
             cut_at_whole_numbers(&mut cuts, [&first, &last].map(|ray| axis.lenslet(lenslets, ray)), count);
-            // Bins may repeat on both sides of their range, at most once per lenslet. So add
-            // `reach` to their positions, which makes all their edges numbers from 0.
+            // Bins may repeat on both sides of their range, at most once per lenslet. So the edges
+            // of bins are whole numbers from −`reach` to `reach`. Shift positions by `reach`, since
+            // cuts are made at numbers from 0.
             let bins = [&first, &last].map(|ray| axis.bin(lenslets, ray));
             let reach = lenslets.views[axis.index()].saturating_mul(count + 1);
             cut_at_whole_numbers(&mut cuts, bins.map(|bin| bin + reach as f64), reach.saturating_mul(2));

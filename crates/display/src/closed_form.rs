@@ -44,8 +44,8 @@ impl Display {
     /// Returns the closed form for this display's kind of layers and backlight, along one axis (0:
     /// x, 1: y). Returns `None` if the paper has no form for this kind.
     pub fn closed_form(&self, axis: usize) -> Option<ClosedForm> {
-        // Check the assumptions that all forms share. A display that violates an assumption still
-        // has a form.
+        // Check the assumption that the forms share: one pitch. A display that violates an
+        // assumption still has a form.
         let own = self.layers.iter().map(|layer| 0.5 / layer.pitch_mm).fold(f64::INFINITY, f64::min);
         let mut broken = Vec::new();
         if self.layers.iter().any(|layer| 0.5 / layer.pitch_mm > own * (1.0 + ROUNDING)) {

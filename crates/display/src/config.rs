@@ -169,7 +169,7 @@ impl Display {
     /// Returns the light field's pixels and views.
     ///
     /// # Errors
-    /// If the view grid is invalid.
+    /// If the view grid is invalid, or if a perspective grid has no viewing distance.
     pub fn geometry(&self) -> Result<FieldGeometry, DisplayError> {
         let field = &self.field;
         let projection = match (field.projection, field.distance_mm) {

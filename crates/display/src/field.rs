@@ -52,7 +52,7 @@ impl LightField {
             return Err(GridError {
                 what: "shape [view_y][view_x][row][col][rgb] of the light field",
                 expected: "the shape that the geometry has",
-                found: format!("{:?}, but the geometry has {expected:?}", radiance.shape()),
+                found: format!("{:?} instead of {expected:?}", radiance.shape()),
             });
         }
         Ok(Self { geometry, radiance, depth: None })

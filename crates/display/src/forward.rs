@@ -260,8 +260,8 @@ impl<'a> Reads<'a> {
 const SHORT_RUN: usize = 4;
 
 /// Combines each `formed[col][rgb]` with the layer's value at the ray. If the ray misses the layer,
-/// the value stays: either the layer is treated as clear, or the ray is invalid and is set to 0
-/// later.
+/// `formed` stays: either the layer is treated as clear, or the ray is invalid and callers ignore
+/// its value.
 fn combine_layer(
     formed: &mut [f32],
     values: &Tensor<4>,

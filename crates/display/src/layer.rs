@@ -121,8 +121,8 @@ impl Layer {
 
     /// Returns the 2^bits values that a mask pixel can take, in rising order, from the lower to the
     /// upper end of [`range`](Self::range). Returns `None` if `bits` is not set, since the range is
-    /// then continuous. The values are the same for all channels, since `bits` allows only one
-    /// transfer function for all.
+    /// then continuous. The values are the same for all channels, since a layer with `bits` has one
+    /// transfer function for all channels.
     pub fn levels(&self) -> Option<Vec<f32>> {
         let codes = 1u32 << self.bits?.clamp(1, Self::MAX_BITS);
         let level = |code: u32| {

@@ -3,8 +3,8 @@
 //!
 //! Display space is right-handed, in millimetres. The origin is at the centre of the light field's
 //! rectangle, x right, y up, z to the viewer. z = 0 is the display plane, of zero parallax. Array
-//! indices count down and right from the top left. A ray is a point on z = 0 and a slope s =
-//! tangent of its direction (the paper's v/d_r, eq. 1).
+//! indices count down and right from the top left. A ray is given by its point on z = 0 and its
+//! slope s, the tangent of its angle to the z axis, along x and y (the paper's v/d_r, eq. 1).
 //!
 //! ```text
 //! Display + FieldGeometry ──▶ RayMap ─────────────────┐

@@ -22,9 +22,10 @@ const VIEWS_PER_BIN: f64 = 3.0;
 /// Suppose that all layers have one pitch, and the first change is the smallest. Then every
 /// multiple of the step shifts the layer farthest from the display plane, or the two layers at the
 /// largest gap against each other, by whole pixels. If every layer is in the display plane or at
-/// the distance max |Δd| from it, all layers shift by whole pixels. One ray per pixel is then exact
-/// for the pixel's area. At slopes between two neighbouring multiples, two neighbouring layers
-/// combine only pairs of pixels that they also combine at one of these multiples.
+/// the distance max |Δd| from it, all layers shift by whole pixels. Then the ray through a pixel's
+/// centre gives the exact mean over the pixel's area. At slopes between two neighbouring multiples,
+/// two neighbouring layers combine only pairs of pixels that they also combine at one of these
+/// multiples.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =
@@ -52,8 +53,8 @@ impl Display {
     /// Returns the views of the light field for which the display is made.
     ///
     /// # Errors
-    /// If an angle is outside of 0..180°, the steps give more than 65536 views along an axis, there
-    /// are no views, or the viewing distance is not above 0.
+    /// If an angle is outside of 0..180°, or if the viewing distance is not above 0. Also if there
+    /// are no views, or if the steps give more than 65536 views along an axis.
     pub fn view_grid(&self, projection: Projection) -> Result<ViewGrid, GridError> {
         self.field.views.grid(projection, self.field.fov_deg, || self.auto_step(usize::MAX))
     }

@@ -1,5 +1,5 @@
-//! Calibration of the physical panels: the output of the computer that drives a layer, and the real
-//! positions of its pixels.
+//! Calibration of the physical panels: the output of the computer that drives a panel, and the real
+//! positions of the panel's pixels.
 //!
 //! ```text
 //! output pixel ─rotate, flip─▶ upright pixel (u, v) ─crop─▶ nominal position (x, y) mm

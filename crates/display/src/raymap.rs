@@ -103,7 +103,7 @@ pub enum BacklightTap {
         /// Angular bin, from the left or the top.
         bin: u32,
     },
-    /// The ray hits the lenslet grid outside the bins and reads 0.
+    /// The ray hits a lenslet at a slope outside the lenslet's bins, and reads 0.
     Dark,
     /// The ray misses the lenslet grid.
     Missed,
@@ -131,8 +131,8 @@ impl BacklightMap {
     }
 
     /// Returns the taps of some rays of every view. `rays` has the ranges of these rays along x and
-    /// along y. `change` computes each new tap from the old tap, and from the entry of `first`
-    /// (x, y) for the tap's axis.
+    /// along y, and `first` has the first lenslet that is kept along x and along y. `change`
+    /// computes each new tap from the old tap and the entry of `first` for the tap's axis.
     pub(crate) fn cut(
         &self,
         rays: [&std::ops::Range<usize>; 2],

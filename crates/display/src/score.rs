@@ -2,7 +2,7 @@
 //!
 //! PSNR has a peak of 1. It includes all channels of all valid rays of weight w > 0. `psnr_view`
 //! compares L̃/β, the picture that an adapted viewer sees, with L. `psnr_raw` compares L̃ with βL,
-//! so it is higher by −20·log10 β.
+//! so `psnr_raw` exceeds `psnr_view` by −20·log10 β.
 
 use lumistack_core::metrics::SquaredError;
 
@@ -41,7 +41,7 @@ impl Score {
     }
 }
 
-/// Returns the squared error of an emitted view, divided by `brightness`, against a target view
+/// Returns the squared error of `emitted` / `brightness` against the view `target`,
 /// `[row][col][rgb]`. The error includes valid rays for which `weight(index of the pixel)` is above
 /// 0.
 pub fn view_error(

@@ -388,7 +388,8 @@ impl Tile {
         target
     }
 
-    /// Returns the weights of the tile's rays. `None` if the weights are per ray, and all 0.
+    /// Returns the weights of the tile's rays. `None` for weights per ray that are all 0 in the
+    /// tile.
     pub fn weights(&self, whole: &Weights) -> Option<Weights> {
         let Weights::PerRay(weights) = whole else { return Some(whole.clone()) };
         let [view_rows, view_cols, _, _] = weights.shape();

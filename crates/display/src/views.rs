@@ -10,8 +10,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::{GridError, Projection, ViewGrid};
 
-/// Fraction of a step by which the outermost view may be outside the zone. So every slope at the
-/// zone's edge is at most three quarters of a step from a view.
+/// Fraction of a step by which the outermost view may be outside the zone. So the zone's edge is at
+/// most three quarters of a step from the outermost view.
 const BEYOND: f64 = 0.25;
 /// Largest number of views per axis.
 const MOST: usize = 1 << 16;
@@ -29,8 +29,8 @@ pub enum Views {
     /// A number of views, [horizontal, vertical], at the centres of equal bins of the zone, as in
     /// the paper.
     Fixed([usize; 2]),
-    /// Views at all multiples of these slopes (x, y) in the zone, and up to a quarter of a step
-    /// outside it. The slopes are ≥ 0. A step of 0 gives one view, straight ahead.
+    /// Views at all multiples of a step of slopes (x, y), ≥ 0, in the zone and up to a quarter of a
+    /// step outside it. A step of 0 gives one view, straight ahead.
     Step([f64; 2]),
 }
 

@@ -10,8 +10,9 @@
 //! //@ include coefficients
 //! ```
 //!
-//! Each block ends at its `//@ end`. N and M are constants of the generated shader, so its loops
-//! over frames and factors are unrolled, and sums stay in registers.
+//! Each block ends at its `//@ end`. The own factor is the factor that the shader updates. N and M
+//! are constants of the generated shader, so its loops over frames and factors are unrolled, and
+//! sums stay in registers.
 
 use std::fmt::Write;
 

@@ -8,8 +8,8 @@ use crate::gpu::Gpu;
 pub(crate) struct Values {
     /// Values that rays read.
     pub(crate) current: Vec<wgpu::Buffer>,
-    /// Buffers that the next update writes. They are then swapped with `current`, so they hold the
-    /// values before the last update.
+    /// Buffers that the next update writes. After an update they are swapped with `current`. So
+    /// between updates they hold the values before the last update.
     pub(crate) next: Vec<wgpu::Buffer>,
     /// The last iterate, if rays read extrapolated values.
     pub(crate) latest: Option<Vec<wgpu::Buffer>>,
@@ -45,8 +45,7 @@ impl Values {
         factor
     }
 
-    /// Allocates the last iterate as a copy of the current values. The first extrapolation calls
-    /// this function.
+    /// Allocates the last iterate as a copy of the current values, unless it exists already.
     pub(crate) fn begin_latest(&mut self, gpu: &Gpu) {
         if self.latest.is_none() {
             self.latest = Some(self.current.iter().map(|_| gpu.buffer(self.words)).collect());

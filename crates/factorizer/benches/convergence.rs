@@ -208,7 +208,7 @@ struct Row {
     start: LayerStack,
     /// PSNR after each number of iterations.
     figures: Vec<f64>,
-    /// Mean time of an update, milliseconds.
+    /// Mean time of an iteration (one update of every factor), milliseconds.
     update_ms: f64,
 }
 

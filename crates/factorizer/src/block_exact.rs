@@ -50,7 +50,7 @@ impl Solver for BlockExact {
     }
 
     fn doc(&self) -> &'static str {
-        "Solves every pixel's frames together, one layer after another. The error never rises; converges in a few iterations."
+        "Updates the values of a pixel in all frames together, one layer after another. The error never rises. The solver converges in a few iterations."
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
@@ -74,7 +74,7 @@ impl Solver for Extrapolated {
     }
 
     fn doc(&self) -> &'static str {
-        "block-exact, extrapolated between iterations, restarted if that raises the error. The fastest to a given quality."
+        "The solver block-exact, with extrapolation between iterations. If the error rises, the extrapolation restarts. This solver is the fastest to a given quality."
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {

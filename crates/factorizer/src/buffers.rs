@@ -15,8 +15,8 @@ use crate::vector::{Vector, load, store};
 /// 10 % slower, with four it is no faster.
 pub(crate) const AHEAD: usize = 2;
 /// Number of values by which the target's rows are prefetched ahead, into the second-level cache.
-/// They do not go to the first-level cache, since it is full of the factors' rows, and the target
-/// is read only once.
+/// The first-level cache is avoided, since it is full of the factors' rows, and an update reads
+/// each value of the target only once.
 const TARGET_AHEAD: usize = 64;
 
 /// Number of views that are buffered before their terms are added to the sums. The buffers of

@@ -1,10 +1,9 @@
 //! A problem at half the resolution, whose solution is a start for the whole problem.
 //!
-//! At half the resolution, low frequencies converge at a quarter of the cost. Field and layers keep
-//! half their pixels per axis. The parallax between two views is half as many coarse pixels as fine
-//! pixels, so fewer views suffice. On an axis with an odd number of at least 9 views, only every
-//! second view is kept, if the backlight is uniform. Lenslets, angular bins and frames stay the
-//! same.
+//! At half the resolution, low frequencies converge at a quarter of the cost. Field and layers have
+//! half the number of pixels per axis. The parallax between two views, in pixels, is also halved,
+//! so fewer views suffice. If the backlight is uniform, an axis with an odd number of at least
+//! 9 views keeps only every second view. Lenslets, angular bins and frames stay the same.
 //!
 //! A coarse pixel is the area-weighted mean of the fine pixels that it covers. A coarse solution is
 //! interpolated linearly at the centres of the fine pixels. All values stay in the layout of the

@@ -46,8 +46,8 @@ pub struct Begin {
     pub tries_local: bool,
 }
 
-/// The remaining error after a step is error − gain, if it is more than this fraction of the error.
-/// A smaller difference would be mostly rounding, since the gain's terms are f32.
+/// If a step leaves more than this fraction of the error, error − gain is used as the objective. A
+/// smaller difference would be mostly rounding, since the gain's terms are f32.
 const LEAST_LEFT: f64 = 0.01;
 
 /// The patterns of a run, on any device.
@@ -115,10 +115,11 @@ pub trait Updater {
 
     /// Runs [`apply`](Self::apply), and chooses the curvature.
     ///
-    /// If [`tries_local`](Self::tries_local) is false, or L̃ is linear in factor `n`, the update
-    /// runs once, with the upper bound of the curvature. Otherwise it runs first with the curvature
-    /// at the current point, which usually gains more, and without extrapolation. If this step
-    /// raises the objective, it is undone, and repeated with the upper bound.
+    /// The update runs once, with the upper bound of the curvature, in three cases:
+    /// [`tries_local`](Self::tries_local) is false, L̃ is linear in factor `n`, or the rule is
+    /// [`Rule::KktResidual`]. Otherwise the update does not extrapolate. It runs first with the
+    /// curvature at the current point, which usually gains more. If this step raises the objective,
+    /// it is undone, and repeated with the upper bound.
     fn update(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>) {
         if !self.tries_local() || self.plan().is_bounded(n) || rule == Rule::KktResidual {
             return self.apply(n, rule, extrapolation, false);

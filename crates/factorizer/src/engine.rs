@@ -232,7 +232,8 @@ impl Engine {
             },
         );
         let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
-        // all three channels of a tied response share one value, so its gain is counted three times
+        // the three channels of a tied response share one value, so `gain` has the gain of each
+        // value three times
         let gain = if response.is_tied() { gain / 3.0 } else { gain };
         respond::respond(response, stored, &mut self.factors[n].values);
         Outcome { error: outcome.error, gain }

@@ -1,8 +1,8 @@
 //! Storage of one factor: a layer, or the directional backlight as one more layer.
 //!
-//! The order is `values[channel][line][frame][x]`, so the rows of a line in all frames are
-//! contiguous. So a thread gets successive lines as one slice, and a ray's values of all frames are
-//! near one another.
+//! The order is `values[channel][line][frame][x]`. A line is one row of the factor's pixels with
+//! their values in all frames. So a thread gets successive lines as one slice, and a ray's values
+//! of all frames are near one another.
 //!
 //! Lines are padded by at least [`PAD`] values on both sides, and an extra line follows the last
 //! line. The padding and the extra line hold the value that rays read if they miss the factor. So

@@ -76,8 +76,8 @@ impl Settings {
     /// Replaces every automatic choice by its value.
     ///
     /// The paper's rule starts at random, since the paper leaves the start open. All other solvers
-    /// start from the content at half the resolution: on every measured light field, runs from this
-    /// start reached each PSNR sooner than from other starts.
+    /// begin at one coarser level, with the start [`StartKind::Content`]. On every measured light
+    /// field, such runs reached each PSNR sooner than runs from other starts.
     pub fn resolved(&self) -> Self {
         let paper = self.solver == Multiplicative.name();
         let solver = if self.solver == AUTO { Extrapolated.name().into() } else { self.solver.clone() };
@@ -169,10 +169,11 @@ pub fn factorize_on(
 
 /// Factorizes a [`Tile`] of a larger problem.
 ///
-/// `problem` consists of [`Tile::display`] and [`Tile::light_field`]. `whole` maps the rays of the
-/// whole display. With `fixed`, the pixels of `warm` around the tile's free pixels keep their
-/// values, except that black is lifted as in every warm start. Without `fixed`, all pixels of the
-/// tile are solved. Without `warm`, the tile starts with its section of the whole display's start.
+/// `problem` has the results of [`Tile::display`], [`Tile::light_field`] and [`Tile::weights`].
+/// `whole` maps the rays of the whole display. With `fixed`, the pixels of `warm` around the tile's
+/// free pixels keep their values, except that black is lifted as in every warm start. Without
+/// `fixed`, all pixels of the tile are solved. Without `warm`, the tile starts with its section of
+/// the whole display's start.
 ///
 /// # Errors
 /// The errors of [`factorize`]. [`FactorizeError::NoRays`] refers to the tile's rays alone.

@@ -12,20 +12,20 @@
 //! Rays are never listed; the separable tables of [`lumistack_display::RayMap`] describe them all.
 //!
 //! ```text
-//! Problem ──start: warm, random, or content at half the resolution──▶ Solver::start
+//! Problem ──start: warm, of a StartKind, or a solution at half the resolution──▶ Solver::start
 //!         ──▶ Run::step × iterations
 //!         ──▶ re-optimization on the levels of panels of few bits ──▶ LayerStack
 //!
 //! Run::step, factor by factor:
 //!     gather (constant shifts), between (constant shifts of fractions of a pixel),
-//!     scatter (any table) or sums (other formations)
+//!     scatter (any table) or sums (layers that do not attenuate)
 //!     ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
 //! ```
 //!
 //! [`factorize`] runs a solver; [`solvers`] lists them. [`held_bytes`] bounds the memory that a
-//! factorization takes in addition to the caller's target. The target is read once and may be in a
-//! mapped file. [`ChannelRun`] solves one colour channel whose target stays in its file. For a
-//! given seed and instruction set, results are the same bytes on any number of threads.
+//! factorization takes in addition to the caller's target. The target is copied at the start and
+//! may be in a mapped file. [`ChannelRun`] solves one colour channel whose target stays in its
+//! file. For a given seed and instruction set, results are the same bytes on any number of threads.
 
 // the example of README.md is a test
 #![cfg_attr(doctest, doc = include_str!("../README.md"))]

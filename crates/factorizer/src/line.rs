@@ -19,7 +19,8 @@ pub(crate) struct LineOf {
 pub struct Outcome {
     /// Σ w e² over the rays through the updated lines, before the step. If a ray reads several
     /// lines, each line gets its share of w e². Rays that miss the factor may be left out. So this
-    /// is the whole sum only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
+    /// sum covers all rays only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays)
+    /// returns true.
     pub error: f64,
     /// Lower bound of the decrease of Σ w e² by the step; 0 if the rule does not compute it.
     /// [`Rule::KktResidual`] and [`Rule::Darken`] return their result here.
@@ -106,7 +107,7 @@ impl LineStep<'_> {
             unsafe { (functions.store_sums)((block, &mut sums[x..], self.stride, self.rule.sums())) };
             return;
         }
-        // Step by the rule. Darkening and fixed values follow, since they concern single pixels.
+        // step by the rule, then darken unlit values and restore fixed values, pixel by pixel
         let step = Step { block: &mut *block, sweeps: self.rule.sweeps(), range: self.range, levels: self.levels };
         // SAFETY: the function is for the block's number of frames
         unsafe { (functions.step)(step) };

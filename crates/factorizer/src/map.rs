@@ -105,8 +105,8 @@ pub(crate) struct LineTap {
 struct RaysOfLine {
     /// Line j has `entries[starts[j]..starts[j + 1]]`.
     starts: Vec<u32>,
-    /// Field row, and a weight in the values that this row's rays read: that of line j, or in
-    /// [`FactorMap::after`] that of line j + 1.
+    /// Field row, and the weight of line j in the values that this row's rays read. In
+    /// [`FactorMap::after`], it is the weight of line j + 1.
     entries: Vec<(u32, f32)>,
 }
 
@@ -334,8 +334,8 @@ pub(crate) struct RawMap {
     pub(crate) y: Vec<Vec<Option<Tap>>>,
 }
 
-/// Returns the shift of the runs' rays: the index of the pixel that a ray reads, minus the ray's
-/// field column.
+/// Returns the shift of the rays in `runs`, which are ranges of field columns. The shift is the
+/// index of the pixel that a ray reads, minus the ray's field column.
 ///
 /// Returns `None` if this shift differs between rays of the runs, or if a ray reads two pixels.
 /// Also returns `None` if, at this shift, a ray that misses the factor would read one of the

@@ -9,8 +9,8 @@ use crate::step::Sums;
 /// Bytes of one factor's tables for one field column of a view column, or for one field row of a
 /// view row.
 ///
-/// The tables hold the positions where rays hit the factor, once as floats and once for the
-/// kernels.
+/// The tables hold the pixels that rays read in the factor, once as [`Tap`](lumistack_display::Tap)
+/// and once in the form for the kernels.
 const TABLE_BYTES: u64 = 96;
 /// Upper bound of the bytes of all small data.
 const SMALL: u64 = 1 << 20;

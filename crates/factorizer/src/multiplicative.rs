@@ -38,7 +38,7 @@ impl Solver for Multiplicative {
     }
 
     fn doc(&self) -> &'static str {
-        "The paper's multiplicative update (eq. 16), one layer after another. The error never rises; slow to converge."
+        "The paper's multiplicative update (eq. 16), one layer after another. The error never rises. Convergence is slow."
     }
 
     fn suits(&self, display: &Display) -> Result<(), FactorizeError> {

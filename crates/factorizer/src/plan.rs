@@ -21,9 +21,9 @@ use crate::target::Target;
 pub struct Plan {
     /// Numbers of view rows and view columns.
     pub(crate) views: [usize; 2],
-    /// Number of field rows.
+    /// Number of field rows: rows of pixels of a view.
     pub(crate) rows: usize,
-    /// Number of field columns.
+    /// Number of field columns: columns of pixels of a view.
     pub(crate) cols: usize,
     /// Number of frames M.
     pub(crate) frames: usize,
@@ -37,7 +37,8 @@ pub struct Plan {
     pub(crate) ones: Vec<f32>,
     /// Layers rear to front, then the directional backlight.
     pub(crate) maps: Vec<FactorMap>,
-    /// Per view column, the ranges of field columns whose rays are valid; normally one range.
+    /// Per view column, its runs: the ranges of field columns whose rays are valid; normally one
+    /// range.
     pub(crate) runs: Vec<Vec<Range<usize>>>,
     /// Per view row, true for field rows whose rays are valid.
     pub(crate) valid_rows: Vec<Vec<bool>>,
@@ -222,7 +223,8 @@ impl Plan {
     }
 }
 
-/// Converts the taps of layers and lenslets to one form, in which a miss is `None`.
+/// Converts the taps (the pixels that rays read) of layers and lenslets to one form, in which a
+/// miss is `None`.
 fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
     // the taps of layers have the common form already
     let hit = |taps: &[Tap]| taps.iter().map(|tap| (!tap.is_missed()).then(|| snapped(*tap))).collect();

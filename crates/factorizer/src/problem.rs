@@ -95,7 +95,7 @@ pub enum FactorizeError {
     },
     /// The patterns exceed the address space.
     #[error(
-        "display: expected patterns that fit into memory, found patterns of {values} values: reduce resolution or frames"
+        "display: expected patterns that fit into the address space, found patterns of {values} values; reduce the resolution or the number of frames"
     )]
     TooLarge {
         /// Number of values over all layers, frames and channels.

@@ -135,7 +135,7 @@ pub(crate) struct LineRays<'a> {
     pub(crate) own_stride: usize,
     /// A ray that hits a factor between two columns interpolates two pixels. For each view, this
     /// lists the second pixel's weight in every other factor, then in the factor under update.
-    /// Empty if no ray hits between columns.
+    /// Only [`rays_between`] fills this list.
     pub(crate) fractions: Vec<f32>,
     /// Rows to prefetch, as pointers to x = 0: the line's own rows, and the other factors' rows.
     /// Views of a view row read the same rows at neighbouring columns, so only the pointer of the

@@ -18,7 +18,8 @@ pub const FLOOR: f32 = 1e-4;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StartKind {
     /// Independent uniform noise in [`FLOOR`]..1. The paper does not state its start. Narrower
-    /// ranges gain a few tenths of a dB in the first updates and change the ranking of no solver.
+    /// ranges gain a few tenths of a dB in the first updates. They do not change the ranking of the
+    /// solvers.
     #[default]
     Random,
     /// The noise of [`Self::Random`], blurred by 1.5 pixels and stretched to its full range.
@@ -60,7 +61,7 @@ impl StartKind {
         match self {
             Self::Random => "Independent uniform noise.",
             Self::Smooth => "Noise that is blurred, so that neighbouring rays read nearly the same values.",
-            Self::Content => "Every pixel's value from the mean target of its rays, times smooth noise.",
+            Self::Content => "One level per pixel, from the mean target of the pixel's rays, times smooth noise.",
         }
     }
 }

@@ -155,10 +155,10 @@ impl Block {
 
     /// Runs coordinate descent with the values and the residual sums in registers.
     ///
-    /// Every coordinate step waits for the previous step. That takes the latency of 5 instructions
-    /// through registers, and three times as long through memory. Two vectors side by side do not
-    /// fit into registers and gained nothing. A variant kept each frame's best value instead of its
-    /// residual sum. It saved 6 % of an update, but lost digits if the Gram matrix is nearly
+    /// Every coordinate step waits for the previous step. Through registers, a step takes the
+    /// latency of 5 instructions; through memory, three times as long. Two vectors side by side do
+    /// not fit into registers and gained nothing. A variant kept each frame's best value instead of
+    /// its residual sum. It saved 6 % of an update, but lost digits if the Gram matrix is nearly
     /// singular.
     #[inline(always)]
     unsafe fn descend_in_registers<V: Lanes, const M: usize>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {

@@ -3,7 +3,7 @@
 //!
 //! For every field row whose rays hit the line, and for every view column:
 //!
-//! 1. Expand the other factors along the row into a_m (M rows) and the residual e = βL − L̃.
+//! 1. Compute a_m for all M frames, and the error e = βL − L̃, along the row.
 //! 2. Add w e a_m and w a_m a_k to the line's sums. Several pixels may share a ray;
 //!    [`scatter`](crate::scatter) explains the shares.
 //!
@@ -49,8 +49,8 @@ impl SumLine<'_, '_> {
     }
 }
 
-/// Adds the terms of all rays through a line to the line's sums. Returns Σ w e², where
-/// each ray also has the weight of the line in the value that it reads.
+/// Adds the terms of all rays through a line to the line's sums. Returns Σ w e². Here each w is
+/// multiplied by the weight of the line in the value that the ray reads.
 fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bool, scratch: &mut Scratch) -> f64 {
     let map = &plan.maps[at.factor];
     let (frames, stride) = (plan.frames, map.layout.stride);

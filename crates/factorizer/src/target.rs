@@ -223,7 +223,7 @@ impl Target {
         matches!(self.weights, RayWeights::Uniform)
     }
 
-    /// Returns true if L may hold infinite values or NaN; half floats hold only finite values.
+    /// Returns true if L may hold infinite values or NaN. The stored half floats are all finite.
     pub(crate) fn may_be_infinite(&self) -> bool {
         matches!(self.values, Radiance::Float(_))
     }

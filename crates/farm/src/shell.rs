@@ -43,7 +43,7 @@ mod tests {
         assert_eq!(levels.len(), 6);
     }
 
-    /// `xargs -I WORD` would also replace WORD in paths.
+    /// The id must be the last word, since `xargs -I WORD` would also replace WORD in paths.
     #[test]
     fn a_unit_is_the_last_word_of_its_command() {
         let mut graph = sample();

@@ -3,8 +3,8 @@
 //!
 //! A camera at position p (in steps, right and up) sees content of disparity k (pixels per step)
 //! shifted by k·p pixels. The shift is to the left and downwards, relative to the central camera.
-//! Reading view p from column c − k·p and row r + k·p moves that content to z = 0. The result is
-//! the rectangle that all views have in common.
+//! That content moves to z = 0 if pixel (column c, row r) of view p is read at column c − k·p and
+//! row r + k·p. The result is the rectangle of pixels that exist in all views.
 
 use std::path::Path;
 
@@ -22,13 +22,13 @@ use crate::source::Source;
 
 /// Largest accepted value: the largest half float.
 pub(crate) const LARGEST: f32 = 65504.0;
-/// Negative values become 0. Only values below this limit cause a warning, since filters overshoot
-/// slightly.
+/// Negative values become 0. Only values below this limit cause a warning, since the pixel filters
+/// of renderers overshoot slightly.
 const OVERSHOOT: f32 = -1e-3;
 /// Pixels are regarded as square if their width and height differ by less than this fraction.
 const SQUARE: f64 = 0.01;
-/// Smallest disparity for which the focus is moved, in pixels per view. The 10th and the 90th
-/// percentile of the disparities must have one sign, and both must be at least this large.
+/// Smallest disparity at which content is moved to z = 0, in pixels per step. The 10th and the 90th
+/// percentile of the disparities must have one sign, and magnitudes of at least this size.
 const STILL_PX: f64 = 0.5;
 
 /// A view of the source that is not kept, and lies between two kept ones.
@@ -384,7 +384,7 @@ impl Range {
             let (count, lowest) = (self.negative, self.lowest);
             task.warn(
                 geometry::place(path),
-                format!("negative values, which are set to 0: {count}; the lowest value is {lowest}"),
+                format!("values below -0.001, which are set to 0: {count}; the lowest value is {lowest}"),
             );
         }
     }

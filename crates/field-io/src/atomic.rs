@@ -217,7 +217,7 @@ mod tests {
             let name = names(folder.path()).into_iter().find(|name| name.starts_with(PREFIX)).unwrap();
             let path = folder.path().join(name);
             age(&path);
-            assert!(!is_abandoned(&path), "it is being written");
+            assert!(!is_abandoned(&path), "the file is being written");
             Ok(())
         })
         .unwrap();

@@ -3,7 +3,7 @@
 //! Stanford archive: `NAME_RR_CC_<Y>_<X>[_...].png`; the numbers after row RR and column CC are the
 //! camera's centre. X increases to the right and Y downwards. Views are ordered by these centres,
 //! not by row and column, since the direction of CC relative to X differs between scenes. Renderers
-//! with this scheme may append focal length and sensor width in millimetres; such cameras are
+//! that use these names may append focal length and sensor width in millimetres. Their cameras are
 //! parallel, and their pictures are not shifted. Row and column numbers may have gaps, for example
 //! if only every third camera of a larger set is kept.
 //!

@@ -88,8 +88,8 @@ struct Listing {
     info: Map<String, Value>,
 }
 
-/// Rounds every value to the nearest half float, as the folder of a light field stores it. A
-/// factorization of the rounded light field reads exactly the values on disk.
+/// Rounds every value to the nearest half float, as the folder of a light field stores it. So a
+/// factorization of the light field in memory uses the same values as one that reads its folder.
 pub fn round_to_half(values: &mut [f32]) {
     for value in values {
         *value = f16::from_f32(value.clamp(-LARGEST, LARGEST)).to_f32();
@@ -156,9 +156,9 @@ fn write_view_as(
 ///
 /// If `views` holds all crossings of some view rows with some view columns, the result is a
 /// complete light field. Its index has the slopes of these rows and columns only. If some rows or
-/// columns are missing, `info.part_of` lists the selected ones, and has the number of view rows and
-/// of view columns of the whole field. For another selection, the index has the slopes of all views
-/// and `"partial": true`, and readers refuse the folder.
+/// columns are missing, `info.part_of` lists the selected rows and columns, and has the numbers of
+/// view rows and view columns of the whole field. For another selection, the index has the slopes
+/// of all views and `"partial": true`, and readers refuse the folder.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.

@@ -364,9 +364,9 @@ fn spread(path: &Path, fov_deg: [f64; 2], hints: &Hints, picks: &[Vec<usize>; 2]
 
 /// Returns the slopes of the lines from the plane that is now z = 0 to the cameras. One step of the
 /// cameras shifts content of this plane by k pixels relative to content at infinity. So the slope
-/// of one step is k/f for the focal length f in pixels; k/f is the sum of `slope_per_step` and
-/// `focus_px` / f. `None` if the focal length is unknown, or if the
-/// plane is not in front of the cameras.
+/// of one step is k/f, with the focal length f in pixels. k/f is the sum of `slope_per_step` and
+/// `focus_px` / f. `None` if the focal length is unknown, or if the plane is not in front of the
+/// cameras.
 fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> Option<[Vec<f64>; 2]> {
     let cameras = hints.cameras.as_ref()?;
     let per_step = cameras.slope_per_step + pixels.focus_px / cameras.focal_px?;

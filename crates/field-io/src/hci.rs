@@ -121,12 +121,12 @@ fn grid_size(folder: &Path, parameters: &Parameters, count: usize, task: Task<'_
     }
     let side = count.isqrt();
     if side * side != count {
-        let expected = format!("num_cams_x and num_cams_y in {PARAMETERS}");
+        let expected = format!("num_cams_x and num_cams_y in {PARAMETERS}, or a square number of pictures");
         return Err(FieldError::malformed(
             folder,
             "views",
             expected,
-            format!("{count} pictures, which make no square, without both num_cams_x and num_cams_y"),
+            format!("{count} pictures, and at most one of the two keys"),
         ));
     }
     task.warn(

@@ -132,7 +132,7 @@ impl Paged {
         let file = file.into_inner().map_err(|error| failed(error.into_error()))?;
         // SAFETY: no other process can open the file, so none writes it
         let map = unsafe { Mmap::map(&file) }.map_err(failed)?;
-        // SAFETY: the mapping is whole and shared, and lives as long as the window
+        // SAFETY: the shared mapping covers the whole file, and lives as long as the window
         let window = unsafe { Window::new(&map, limit) };
         let values = Mapped { map, window, storage: storage(&folder, limit) };
         let radiance = Tensor::lent(LightField::AXES, LightField::shape_of(&geometry), Arc::new(values));
@@ -153,7 +153,7 @@ pub fn storage(folder: &Path, limit: usize) -> Storage {
         io::copy(&mut io::repeat(0).take(bytes as u64), &mut file)?;
         // SAFETY: no other process can open the file, so none writes it
         let map = unsafe { MmapMut::map_mut(&file) }?;
-        // SAFETY: the mapping is whole and shared
+        // SAFETY: the shared mapping covers the whole file
         Ok(unsafe { Pages::new(Box::new(map), limit) })
     })
 }

@@ -69,7 +69,7 @@ impl Source {
         }
         let inner = std::mem::replace(&mut self.reader, Box::new(NoViews));
         self.reader = Box::new(Mirrored { inner, views: self.views, mirror });
-        // The stated positions and slopes of the views follow their order.
+        // Mirror the stated positions and slopes of the views, too.
         let positions = self.hints.cameras.iter_mut().flat_map(|cameras| cameras.positions.iter_mut().zip(mirror));
         let slopes = self.hints.slopes.iter_mut().zip(mirror);
         let stated = slopes.filter_map(|(slopes, mirror)| Some((slopes.as_mut()?, mirror))).chain(positions);

@@ -31,7 +31,7 @@ const ORIGINAL_MANIFEST: &str = "Cargo.toml.orig";
 /// If cargo does not run the build script, or the sources cannot be read: a crate without a
 /// fingerprint must not build.
 pub fn emit(more: &[&str]) {
-    let folder = std::env::var_os("CARGO_MANIFEST_DIR").expect("cargo runs build scripts and says where the crate is");
+    let folder = std::env::var_os("CARGO_MANIFEST_DIR").expect("cargo runs build scripts and sets CARGO_MANIFEST_DIR");
     let folder = Path::new(&folder);
     let fingerprint = of(folder, more).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
     for watched in [&[SOURCES, MANIFEST, "build.rs"], more].concat() {

@@ -222,8 +222,8 @@ fn times(document: &Document<'_>, channel: &Channel) -> Result<Vec<f32>, Fault> 
 }
 
 /// The last key at or before a time, or the first key if the time is before it. The interval to the
-/// next key is `gap_s` seconds long, and its fraction `share` (u) has passed. Both are 0 before the
-/// first key, and from the last key on.
+/// next key is `gap_s` seconds long, and its fraction `share` (u) has passed. Before the first key,
+/// and from the last key on, `gap_s` and `share` are 0.
 struct KeyInterval {
     key: usize,
     share: f64,

@@ -9,7 +9,7 @@ use crate::document::Document;
 use crate::draco;
 use crate::error::Fault;
 
-/// Opens the vertex attributes of a primitive by their meaning.
+/// Opens the vertex attributes of a primitive by glTF's semantics, such as `POSITION`.
 pub(crate) struct Attributes<'d, 'f> {
     pub(crate) document: &'d Document<'f>,
     /// JSON pointer to the primitive, `/meshes/I/primitives/J`.

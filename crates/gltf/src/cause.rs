@@ -51,8 +51,8 @@ pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
     Fault::new(nodes.place(), EXPECTED, format!("{found}{defect}"))
 }
 
-/// Appends to `found`, the message about a scene whose triangles have no area: the number of
-/// triangles, and the first primitive that was left out.
+/// Returns `found`, the message about a scene whose triangles have no area, with two additions: the
+/// number of triangles, and the first primitive that was left out.
 pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) -> String {
     let left_out = left_out(document).map(|reason| format!("; {reason}")).unwrap_or_default();
     match triangles {

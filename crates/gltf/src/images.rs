@@ -26,7 +26,7 @@ pub(crate) struct Images {
 enum Waiting {
     /// The picture in `content`, at the place `place` of the file.
     Picture { content: Content, place: String, usage: Use },
-    /// Roughness: 1 − `factor` times the alpha of the image at the position `from`, which holds
+    /// Roughness: 1 − `factor` · alpha. `from` is the position of the image whose alpha holds
     /// glossiness.
     Roughness { from: usize, factor: f32 },
 }

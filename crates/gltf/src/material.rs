@@ -28,8 +28,9 @@ pub(crate) struct Materials {
     pub(crate) images: Images,
 }
 
-/// Reads the materials of the file. The default material takes the place of each unused one, which
-/// keeps the indices of the others. So a missing picture that is never seen is no error.
+/// Reads the used materials of the file. The default material takes the place of each unused
+/// material, which keeps the indices of the others. So a missing picture of an unused material is
+/// no error.
 pub(crate) fn load(document: &Document<'_>, used: &[bool]) -> Result<Materials, Fault> {
     let mut loader = Loader::new(document);
     let (mut materials, mut uv_sets) = (Vec::new(), Vec::new());

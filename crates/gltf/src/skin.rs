@@ -128,7 +128,7 @@ fn cofactors(m: &Mat3A) -> Mat3A {
     Mat3A::from_cols(y.cross(z), z.cross(x), x.cross(y))
 }
 
-/// Returns true if a skin can deform the mesh; otherwise the node places it.
+/// Returns true if a skin can deform the mesh. Otherwise the node places the mesh.
 pub(crate) fn has_joints(mesh: &json::Mesh) -> bool {
     let joints = gltf::json::validation::Checked::Valid(Semantic::Joints(0));
     mesh.primitives.iter().any(|primitive| primitive.attributes.contains_key(&joints))

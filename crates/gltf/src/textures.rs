@@ -65,8 +65,8 @@ impl<'d, 'f> Loader<'d, 'f> {
         Ok(Some(TextureUse { texture, uv_set, texture_from_mesh }))
     }
 
-    /// Returns the index of a texture of the file in `textures`. Reads the texture and its image at
-    /// their first use.
+    /// Returns the position in `textures` of the file's texture with this index. Reads the texture
+    /// and its image at their first use.
     fn texture(&mut self, index: json::Index<json::Texture>, used_at: &str) -> Result<usize, Fault> {
         let document = self.document;
         let texture = document.get(index, used_at)?;

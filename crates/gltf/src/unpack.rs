@@ -103,8 +103,8 @@ mod tests {
         assert_eq!(answered(b"\x07"), None);
     }
 
-    /// Common pictures have the same results from the small set of decoders, also if they are
-    /// broken or of the wrong kind. All other content needs all decoders.
+    /// For common pictures, `unpack_common` returns the same results as `unpack`, even if the
+    /// pictures are broken or of the wrong kind. `unpack_common` refuses all other content.
     #[test]
     fn common_pictures_need_few_decoders() {
         let picture = image::RgbImage::from_fn(5, 3, |x, y| image::Rgb([40 * x as u8, 70 * y as u8, 9]));

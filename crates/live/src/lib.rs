@@ -6,10 +6,11 @@
 //! ```
 //!
 //! A [`Mailbox`] holds only the newest value, so no thread works on an old value, and values do not
-//! accumulate. A [`State`] is numbered and complete, and never changes. For new content, a
-//! [`Solver`] starts from the best of three patterns: the previous ones, the previous ones moved
-//! with the content ([`motion`]), and fresh ones. A [`Tracker`] predicts where viewers will be, and
-//! [`Rays`] are the rays to their eyes. A [`Player`] schedules the time steps of a video.
+//! accumulate. A mailbox numbers its values. A [`State`] is complete and never changes. For new
+//! content, a [`Solver`] starts from the best of three patterns: the previous ones, the previous
+//! ones moved with the content ([`motion`]), and fresh ones. A [`Tracker`] predicts where viewers
+//! will be, and [`Rays`] are the rays to their eyes. A [`Player`] schedules the time steps of a
+//! video.
 //!
 //! The crate reads no clock and no file: times are arguments.
 

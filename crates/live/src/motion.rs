@@ -2,15 +2,15 @@
 //!
 //! ```text
 //! P_n(x) = mean of L over the rays through pixel x of layer n
-//! v_n(x) = arg min over v of Σ (P_n(x' ) − P_n_before(x' − v))² + λ |v|
+//! v_n(x) = arg min over v of Σ [(P_n(x') − P_n_before(x' − v))² + λ |v|]
 //! f_n(x) ← f_n(x − v_n(x))
 //! ```
 //!
-//! L is the light field, and P_n is its content as layer n sees it: content near the layer is
-//! sharp. P_n_before is P_n of the previous light field. The factor λ penalizes long motions. The
-//! motion v_n is found for each block of pixels, and is interpolated between blocks. The sum runs
-//! over the pixels x' in and around the block. Then the patterns f_n of every frame are moved. A
-//! pixel whose source x − v_n is outside the layer gets its value from patterns of a fresh start.
+//! L is the light field. P_n is a picture of L that is focused on layer n: content near the layer
+//! is sharp. P_n_before is P_n of the previous light field. The factor λ penalizes long motions.
+//! The motion v_n is found for each block of pixels, and is interpolated between blocks. The sum
+//! runs over the pixels x' in and around the block. Then the patterns f_n of every frame are moved.
+//! A pixel whose source x − v_n is outside the layer gets its value from patterns of a fresh start.
 //!
 //! The method needs only light fields, so it works for scenes and for given light fields. Content
 //! that turns or moves in depth has a different motion on every layer and at every place.
@@ -27,12 +27,12 @@ const BLOCK: usize = 16;
 /// pixels of the block. Without the border, a block that contains a single straight edge would show
 /// no motion along this edge.
 const AROUND: usize = 4;
-/// Longest motion along an axis, pixels. It is a multiple of [`COARSE`].
+/// Longest motion along an axis in the first search, pixels. It is a multiple of [`COARSE`].
 const FARTHEST: i32 = 32;
 /// Step of the first search, pixels.
 const COARSE: i32 = 2;
-/// Width of the border of [`Padded`] planes, pixels. The second search goes [`COARSE`] − 1 pixels
-/// farther than the first.
+/// Width of the border of [`Padded`] planes, pixels. The second search tests motions that are up to
+/// [`COARSE`] − 1 pixels longer than those of the first search.
 const PADDING: usize = (FARTHEST + COARSE - 1) as usize;
 /// Number of best matches of the first search that the second search refines.
 const KEPT: usize = 8;
@@ -40,8 +40,8 @@ const KEPT: usize = 8;
 /// difference by at least this value.
 const COST: f32 = 2e-6;
 
-/// The content as every layer sees it. If the backlight is directional, the last plane is the
-/// content as its lenslets see it.
+/// For each layer, the mean of a light field over the rays through each pixel. If the backlight is
+/// directional, the last plane has the means over the rays through each lenslet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Planes(Vec<Plane>);
 
@@ -119,8 +119,8 @@ fn lenslet(tap: BacklightTap) -> Option<usize> {
 }
 
 impl Plane {
-    /// Averages a light field on a plane of [rows, columns]. The rows of the plane share the
-    /// threads. One thread adds all rays of a row, always in the same order.
+    /// Averages a light field on a plane of [rows, columns]. The rows of the plane are computed in
+    /// parallel. One thread adds all rays of a row of the plane, always in the same order.
     fn of(
         field: &LightField,
         [rows, cols]: [usize; 2],
@@ -129,7 +129,8 @@ impl Plane {
     ) -> Result<Self, Cancelled> {
         let FieldGeometry { grid, cols: field_cols, .. } = field.geometry();
         let [view_rows, view_cols] = grid.views().map(|count| spread(count, VIEWS));
-        // For every row of the plane, list the row of views and the row of each line of rays.
+        // For every row of the plane, list the lines of rays that hit the row. A line of rays is
+        // [row of views, row of pixels in each view].
         let mut lines = vec![Vec::new(); rows];
         for &view_y in &view_rows {
             for (line, row) in along_y(view_y).into_iter().enumerate() {
@@ -194,7 +195,7 @@ impl Padded {
 }
 
 impl Flow {
-    /// Finds the motion of all blocks. The blocks share the threads.
+    /// Finds the motion of all blocks, in parallel.
     fn between(before: &Plane, after: &Plane, cancel: &Cancel) -> Result<Self, Cancelled> {
         let blocks = [after.rows, after.cols].map(|count| count.div_ceil(BLOCK));
         let before = Padded::new(before);
@@ -273,7 +274,7 @@ fn best_shift(before: &Padded, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2
 
 /// Returns Σ (a − b)².
 fn squared_difference(a: &[f32], b: &[f32]) -> f32 {
-    // Eight sums have no order among them, so the compiler computes them in vectors.
+    // Eight independent sums let the compiler use vector instructions.
     const SUMS: usize = 8;
     let mut sums = [0.0f32; SUMS];
     let (a, b) = (a.chunks_exact(SUMS), b.chunks_exact(SUMS));
@@ -326,7 +327,7 @@ pub fn moved(stack: &LayerStack, flows: &[Flow], fresh: &LayerStack) -> LayerSta
 }
 
 impl Flow {
-    /// Returns the fraction of a region's pixels whose values enter across the border, 0..1.
+    /// Returns the fraction of a region's pixels whose source is outside the layer, 0..1.
     pub(crate) fn new_share(&self, region: &Region) -> f64 {
         let pixels = region.rows.clone().flat_map(|row| region.cols.clone().map(move |col| [row, col]));
         let new = pixels.filter(|[row, col]| self.source(*row, *col).is_none()).count();
@@ -334,7 +335,7 @@ impl Flow {
     }
 
     /// Returns the index of the pixel from which a pixel takes its value; `None` if this source is
-    /// outside the border.
+    /// outside the layer.
     fn source(&self, row: usize, col: usize) -> Option<usize> {
         let [right, down] = self.at(row, col);
         let back =

@@ -73,7 +73,7 @@ pub struct Solver {
 /// The result of the previous step.
 struct Last {
     target: Arc<Target>,
-    /// The target's content as every layer sees it.
+    /// Means of the target over the rays through each pixel of each layer.
     planes: Planes,
     stack: LayerStack,
 }
@@ -173,9 +173,10 @@ fn at_start(
     Ok((done.stack, done.history.last().map_or(f64::NEG_INFINITY, |start| start.psnr_view)))
 }
 
-/// Solves the strips of the display that new content has entered, on the processor. The patterns of
-/// a strip are fresh, so they do not match the patterns beside the strip. Iterations of the whole
-/// display would remove this mismatch only slowly. Patterns outside of the strips do not change.
+/// Solves the strips of the display that new content has entered, on the processor. At first, the
+/// patterns of a strip are fresh, so they do not match the moved patterns beside the strip.
+/// Iterations of the whole display would remove this mismatch only slowly. Patterns outside of the
+/// strips do not change.
 ///
 /// # Errors
 /// If a strip cannot be solved, or when cancelled.

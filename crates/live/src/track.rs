@@ -9,8 +9,9 @@
 //! `seen` is the time of the tracker's last report, and `eye` and `velocity` are the position and
 //! the velocity at that time. `latency` is the time from the tracker's measurement to the patterns
 //! on the display. `s` is the weight of the whole zone: 0 while viewers are tracked, 1 without
-//! viewers. `r` is the distance of the ray from the point midway between a viewer's eyes,
-//! measured parallel to the display. The sum runs over the viewers.
+//! viewers. `floor` is [`FLOOR`]. `r` is the distance of the ray from the point midway between a
+//! viewer's eyes, measured parallel to the display. σ is `WEIGHT_MM`. The sum runs over the
+//! viewers.
 
 use std::time::Duration;
 

@@ -336,7 +336,7 @@ fn describe(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<()
         Sky::Map => {
             text += "], \"sky\": \"sky.f32\"}";
             // Rows go from +y to −y, with both ends included. Columns have equal angles, from −z
-            // towards +x. The script that reads them has the same order.
+            // towards +x. `xtask/bench/agreement.py`, which reads them, has the same order.
             let [width, height] = SKY;
             let texel = |k: usize| {
                 let phi = std::f32::consts::TAU * ((k % width) as f32 + 0.5) / width as f32;

@@ -10,7 +10,8 @@
 //! light in two ways: from a sampled light, and along the next scattered ray. The power heuristic
 //! weights both contributions (Veach, Guibas 1995). A path ends at a miss, at a surface that
 //! scatters nothing, by Russian roulette, or after [`Settings::max_bounces`]. Any number of views
-//! share one [`Renderer`]; a held-out view is one more call with another geometry.
+//! share one [`Renderer`]. A held-out view takes one more call of [`Renderer::render_view`], with
+//! another geometry.
 //!
 //! ```text
 //! Scene ─▶ Geometry ─▶ Bvh             PrimaryRays (window, geometry, view)

@@ -6,8 +6,8 @@
 
 /// Number of bits of an `f32` below the mantissa of a code.
 const DROPPED: u32 = 13;
-/// The number that codes lack against the upper bits of an `f32`. The exponents 96 to 159 of an
-/// `f32` are the exponents 0 to 63 of codes.
+/// Difference between the upper bits of an `f32` and its code. The exponents 96 to 159 of an `f32`
+/// are the exponents 0 to 63 of codes.
 const OFFSET: u32 = 96 << 10;
 
 /// Returns the code of the nearest value. Negative values and NaN become 0; values out of range

@@ -10,7 +10,7 @@ pub const BEAM_RAYS: usize = BEAM;
 /// A tree over triangles.
 pub struct Tree(Bvh);
 
-/// Memory that the rays of a thread use one after another.
+/// Working memory of traversals. The rays of one thread use it one after another.
 pub struct Scratch(Stack);
 
 impl Tree {

@@ -141,12 +141,13 @@ pub enum RenderError {
 }
 
 impl Renderer {
-    /// Prepares a scene: image pyramids, tree, lights. Takes time and memory in proportion to the
-    /// scene, not to the views. In scenes of more than a million triangles, most meshes with
-    /// several instances are kept only once.
+    /// Prepares a scene: image pyramids, tree, lights. Time and memory depend on the size of the
+    /// scene, not on the number of views. In scenes of more than a million triangles, most meshes
+    /// with several instances are kept only once.
     ///
     /// # Errors
-    /// If the scene has more than 2²⁹ − 1 triangles or 2³⁰ − 1 instances, or when cancelled.
+    /// If more than 2²⁹ − 1 triangles must be kept, if the scene has more than 2³⁰ − 1 instances,
+    /// or when cancelled.
     pub fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, RenderError> {
         Self::with_sharing(scene, Sharing::Auto, task)
     }
@@ -281,7 +282,7 @@ impl Renderer {
             let all = settings.samples as usize * geometry.rows * geometry.cols;
             task.warn(
                 format!("view {},{}", view[0], view[1]),
-                format!("samples that are left out, since they are not finite numbers: {lost} of {all}"),
+                format!("{lost} of {all} samples are left out, since they are not finite numbers"),
             );
         }
         if let Some(message) = clamped.message(settings, filled.data().chunks_exact(K).map(radiance)) {
@@ -314,7 +315,8 @@ impl Renderer {
         Ok(flat)
     }
 
-    /// Returns the fraction of the window, 0..1, in which the central rays of a view hit a surface.
+    /// Returns the fraction of a view's pixels, 0..1, whose central rays hit a surface that viewers
+    /// see.
     ///
     /// # Errors
     /// The same errors as [`hit_mask`](Self::hit_mask).

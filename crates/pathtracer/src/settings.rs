@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use crate::bvh::BEAM;
 
-/// With sparse paths, one path of this number continues on smooth surfaces.
+/// With sparse paths, one of every `FEWER` paths continues on smooth surfaces.
 pub(crate) const FEWER: u32 = 4;
 
 /// Quality and reproducibility of a render.
@@ -15,13 +15,14 @@ pub struct Settings {
     /// Number of further rays per pixel of a [split view](crate::Renderer::render_split),
     /// 0..=65536. They end at the first surface, so they cost a sixth to a half of a path. They
     /// smooth edges and textures; the light of the surfaces comes from the paths. Edges of mirrors
-    /// and glass before a visible environment become noisier, since views do not share their light.
-    /// Functions that render no split view ignore this setting. Default 0.
+    /// and glass in front of a visible environment become noisier, since views share no light of
+    /// mirrors or glass. Functions that render no split view ignore this setting. Default 0.
     pub further_rays: u32,
     /// Gives further rays and paths to the noisy pixels of a [split
     /// view](crate::Renderer::render_split): at edges, in mirrored light and inside textures. This
     /// setting is for views that are seen one by one. Functions that render no split view ignore
-    /// it. Default false. On wasm32 it has no effect, since pages would load its code without need.
+    /// it. Default false. On wasm32 it has no effect, since web pages would load its code without
+    /// need.
     pub further_paths: bool,
     /// Gives a [split view](crate::Renderer::render_split) only a quarter of its paths where it
     /// sees smooth surfaces whose light other views share. The other rays end at the first surface.
@@ -30,8 +31,8 @@ pub struct Settings {
     /// Default false.
     pub sparse_paths: bool,
     /// Largest number of scattering events of a path, 0..=1024. The event at the first hit is
-    /// included, so 0 shows emission only. Longer paths are cut off. Without [`clamp`](Self::clamp)
-    /// this is the renderer's only systematic error. Default 8.
+    /// included, so 0 shows emission only. Longer paths are cut off. Unless [`clamp`](Self::clamp)
+    /// is set, this cut is the renderer's only systematic error. Default 8.
     pub max_bounces: u32,
     /// Index of the first bounce after which Russian roulette may end a path, 0..=1024. The bounce
     /// at the first hit has the index 0. The estimate stays unbiased. Default 3.
@@ -54,8 +55,8 @@ pub enum AngularFilter {
     /// Only the slope of the view itself.
     #[default]
     Point,
-    /// All slopes of the view's bin: a box as wide as the distance of neighbouring views, centred
-    /// on the view. An axis with a single view stays a point.
+    /// All slopes of the view's bin: a box as wide as the difference of neighbouring views' slopes,
+    /// centred on the view. An axis with a single view stays a point.
     Bin,
     /// A box of slopes with these widths (x, y), each ≥ 0, centred on the view. It is for views
     /// between or outside the views of a grid.
@@ -90,8 +91,8 @@ impl Settings {
         self.further_rays > 0 || self.sparse_paths || self.has_further_paths()
     }
 
-    /// Returns true if pixels on smooth surfaces have fewer paths. The rays of a pixel with more
-    /// than [`BEAM`] rays are in several beams, which do not know of each other.
+    /// Returns true if pixels on smooth surfaces have fewer paths. A pixel with more than [`BEAM`]
+    /// rays keeps all paths, since each of its beams would have to know the hits of the others.
     pub(crate) fn has_sparse_paths(&self) -> bool {
         self.sparse_paths && self.rays()[1] <= BEAM as u32
     }
@@ -101,8 +102,9 @@ impl Settings {
         if self.has_sparse_paths() { self.samples.div_ceil(FEWER) } else { self.samples }
     }
 
-    /// Returns the number of paths and the number of all rays of a pixel of a split view. Pixels
-    /// with further paths have more; with sparse paths, some have fewer paths.
+    /// Returns the number of paths and the number of all rays of a pixel of a split view. With
+    /// further paths, some pixels have more paths and rays; with sparse paths, some have fewer
+    /// paths.
     pub(crate) fn rays(&self) -> [u32; 2] {
         [self.samples, self.samples + self.further_rays]
     }

@@ -82,8 +82,8 @@ impl Materials {
         Self { scene, textures, slots, compensated: true }
     }
 
-    /// Turns the compensation for multiple scattering off, so that surfaces lose the light that
-    /// single scattering loses.
+    /// Turns the compensation for multiple scattering off. Surfaces then lose the light that
+    /// microfacets scatter more than once.
     pub(crate) fn without_compensation(&mut self) {
         self.compensated = false;
     }
@@ -95,7 +95,7 @@ impl Materials {
         if !(material.double_sided || is_solid(material)) {
             flags |= bvh::CULL_BACK;
         }
-        // unseen lamps get this flag too, so that first hits can pass through them
+        // unseen lamps get this flag too, so that camera rays can pass through them
         if material.alpha_mode != AlphaMode::Opaque || material.lamp == Lamp::Unseen {
             flags |= bvh::ALPHA;
         }

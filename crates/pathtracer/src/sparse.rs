@@ -8,13 +8,14 @@
 //! the reflectance, normal and depth of their own rays.
 //!
 //! A pixel that loses its only path takes E and H (see `denoise/shared.rs`) from the paths of its
-//! group (`FirstSums::lend`). These do not include texture. So shadows are blurred over at most a
+//! group (`FirstSums::lend`). E and H do not include texture. So shadows are blurred over at most a
 //! pixel, textures are not. Chance decides in every view which pixel of the group keeps its path.
 //! A regular pattern would be worse. A point that moves by a pixel from view to view would then
 //! have a path in all views or in none.
 //!
-//! Results with 13 × 13 views of 420 × 262 pixels, and the fraction of the paths of a group on one
-//! surface that continue. Views with one path per pixel also have a further ray:
+//! Results with 13 × 13 views of 420 × 262 pixels. In groups that see one surface, the given
+//! fraction of the paths continues. Views with one path per pixel also have a further ray per
+//! pixel:
 //!
 //! | scene | paths | fraction | CPU seconds of rendering | score in the viewing zone |
 //! |---|---|---|---|---|
@@ -30,7 +31,7 @@
 //! In FlightHelmet, only a fifth of the groups see one surface. Points are compared before textures
 //! are read: if textures were read first, FlightHelmet took 5 % longer. With [`LEAST_ALPHA`] 0.04
 //! instead of 0.1, still-life with 4 paths took 56 instead of 60 seconds, but lost 0.02 dB, and
-//! FlightHelmet lost 0.05 dB. Larger turns of normals saved no time.
+//! FlightHelmet lost 0.05 dB. Larger limits on the angle between normals saved no time.
 
 use std::ops::Range;
 
@@ -45,10 +46,10 @@ use crate::surface::{First, divisor};
 const PIXELS: usize = 4;
 /// Smallest α of a lobe whose light a group shares.
 const LEAST_ALPHA: f32 = 0.1;
-/// Largest angle between the shading normals of a group, as a fraction of α, if the surface
-/// reflects light.
+/// Largest angle between the shading normals of a group with a glossy lobe, divided by α. The angle
+/// is in radians.
 const GLOSSY_TURN: f32 = 0.5;
-/// Largest angle between the shading normals of a group.
+/// Largest angle in radians between the normals of a group, both geometric and shading normals.
 const MOST_TURN: f32 = 0.3;
 /// Smallest reflectance at normal incidence of a group's lobes that depend on the viewer's
 /// direction, as a fraction of the largest one. Near grazing angles, their light is not in
@@ -61,12 +62,12 @@ const LEAST_RATIO: f32 = 0.25;
 pub(crate) struct SparsePaths {
     /// Number of rays of a group.
     rays: usize,
-    /// The bit of each ray that continues as a path also if its group sees one surface.
+    /// The bit of each ray that continues as a path even if its group sees one surface.
     kept: u32,
 }
 
-/// Returns the number of pixels that a beam should have if it has room for `most` pixels. They are
-/// whole groups if it has room for one.
+/// Returns the number of pixels that a beam should have if it has room for `most` pixels. The
+/// pixels form whole groups if the beam has room for a group.
 pub(crate) fn whole_groups(most: usize) -> usize {
     if most >= PIXELS { most / PIXELS * PIXELS } else { most }
 }
@@ -96,7 +97,7 @@ impl SparsePaths {
                 kept |= all_ones(pixels * rays) << first;
                 continue;
             }
-            // one path of as many pixels as a pixel has paths; two pixels are on a diagonal
+            // as many pixels keep one path as a pixel has paths; the first two are on a diagonal
             let start = (seeds[0] >> 40) as usize % PIXELS;
             for pixel in [start, start ^ 3, start ^ 1, start ^ 2].into_iter().take(paths) {
                 kept |= 1 << (first + pixel * rays);
@@ -110,14 +111,15 @@ impl SparsePaths {
         (0..rays / self.rays).map(move |group| group * self.rays..(group + 1) * self.rays)
     }
 
-    /// Returns `paths`, the bits of the rays that continue as paths, for a beam in which this group
-    /// sees one surface.
+    /// Returns `paths`, the bits of the rays that continue as paths, without the bits of the paths
+    /// that end if `group` sees one surface.
     pub(crate) fn fewer(self, paths: u32, group: Range<usize>) -> u32 {
         paths & (self.kept | !(all_ones(group.len()) << group.start))
     }
 }
 
-/// Returns true if points of rays are on one plane. `width` is the width of a pixel there.
+/// Returns true if the hits of rays are on one plane. `points` yields the position and the
+/// geometric normal of every hit, and `None` for a miss. `width` is the width of a ray's footprint.
 pub(crate) fn are_on_a_plane(mut points: impl Iterator<Item = Option<(Vec3, Vec3)>>, width: f32) -> bool {
     let Some(Some((position, normal))) = points.next() else { return false };
     points.all(|point| {

@@ -38,8 +38,9 @@ pub(crate) struct First {
 pub(crate) struct Gloss {
     /// Approximate reflectance of the base at normal incidence.
     pub(crate) reflectance: Vec3,
-    /// The smaller squared roughness of base and coat. Over this angle, the reflection stays about
-    /// the same. It is 0 for glass, at whose points other views see other light.
+    /// The smaller squared roughness of base and coat. If the viewer's direction turns by this
+    /// angle, in radians, the reflection stays about the same. 0 for glass, at whose points other
+    /// views see other light.
     pub(crate) alpha: f32,
 }
 

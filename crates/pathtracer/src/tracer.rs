@@ -28,10 +28,11 @@
 //! * Nearly all variance of a diffuse scene comes from the first scattered direction. A trial had
 //!   four jointly stratified points of lights at the first hit, instead of one. The squared error
 //!   fell by 7 %, but the time rose by 80 %.
-//! * Between rays, paths wait for chains of roots and quotients, and for results that are read in
-//!   larger pieces than they were written in. So primary rays and directions around normals are
-//!   computed for all paths together, as vectors. Hits are written where they are read, and a
-//!   light's density is kept as its inverse. Together this gave 9 % more samples.
+//! * Between rays, paths wait for chains of square roots and divisions. They also wait for values
+//!   that are read in larger pieces than they were written in. So primary rays and directions
+//!   around normals are computed for all paths together, as vectors. Hits are written where they
+//!   are read, and a light's density is kept as its inverse. Together these changes gave 9 % more
+//!   samples per second.
 //! * With a separate loop over all paths for each step of a vertex (surface, light, scattered
 //!   direction), the time rose by 3 %. The results of the steps then have to be stored.
 //! * The shadow rays of first hits, traced as beams, took 1.6 times as long as single rays. These
@@ -173,9 +174,9 @@ impl Tracer<'_> {
     /// cone. `draws` has the random numbers of all rays. If `in_bounds` is false, the rays hit
     /// nothing. The call overwrites `rays`. A ray whose bit is set in `paths_of_rays` continues as
     /// a path; the others end at their first surface. If `FIRST` is true, the first surface of
-    /// every ray is written to `first`, which needs an element per ray. Then `sparse` may end more
-    /// rays. For the paths that continue, the radiance is the same for both values of `FIRST`, bit
-    /// for bit.
+    /// every ray is written to `first`, which needs an element per ray. Then `sparse` may end some
+    /// of the paths at their first surfaces, too. For the paths that continue, the radiance is the
+    /// same for both values of `FIRST`, bit for bit.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],
@@ -296,8 +297,9 @@ impl Tracer<'_> {
         paths.map(|path| path.radiance)
     }
 
-    /// Ends paths at their first surfaces in groups of rays that see one surface. Removes their
-    /// bits from `paths`. Returns the bits of the rays whose first surface is written to `first`.
+    /// Ends most paths of each group of rays that see one surface, at that surface. Removes the
+    /// bits of these paths from `paths`. Returns the bits of the rays whose first surface is
+    /// written to `first`.
     fn end_paths(
         &self,
         sparse: SparsePaths,
@@ -602,9 +604,9 @@ impl Tracer<'_> {
         let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
             return;
         };
-        // Light of punctual lights ends where the smooth surface turns away, not where its
-        // triangles do. No other technique finds this light, so the weights of the power heuristic
-        // stay right.
+        // The light of punctual lights ends where the smooth surface turns away, not where its
+        // triangles turn away. No other technique finds this light, so the weights of the power
+        // heuristic stay right.
         let is_hard = light.inverse_pdf == 0.0 && vertex.may_bulge(surface);
         let (value, scatter_pdf) = if is_hard {
             surface.evaluate_above(vertex.smooth_normal(), light.direction)

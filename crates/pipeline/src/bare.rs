@@ -10,18 +10,18 @@ pub fn lacking(path: &Path, no_camera: bool, no_lights: bool) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     if no_camera {
         lines.push(
-            "no camera in the file: the window shows the front of the scene, or a side with more content; --look-from AZ,EL chooses the direction".into(),
+            "no camera in the file, so the window shows the front of the scene, or a side with more content; --look-from AZ,EL chooses the direction".into(),
         );
     }
     if no_lights {
         lines.push(
-            "no lights in the file: the studio light lights the scene; --environment FILE replaces the studio light"
+            "no lights in the file, so the studio light lights the scene; --environment FILE replaces the studio light"
                 .into(),
         );
     }
     let extension = path.extension().unwrap_or_default();
     if !lines.is_empty() && ["gltf", "glb"].iter().any(|gltf| extension.eq_ignore_ascii_case(gltf)) {
-        let text = "for a file of Blender: its glTF export contains cameras and lights if Include > Cameras and Include > Punctual Lights are ticked; \
+        let text = "if the file comes from Blender, tick Include > Cameras and Include > Punctual Lights in Blender's glTF export; \
                     Lumistack also reads .blend files";
         lines.push(text.into());
     }

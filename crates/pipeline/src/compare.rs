@@ -169,7 +169,7 @@ pub fn refocused(
         return Err(PipelineError::option("--pupil-mm", "MM", "a diameter of 0 or more", pupil_mm.to_string()));
     }
     if !(focus_mm.is_finite() && focus_mm < distance) {
-        let expected = format!("a distance below {distance} mm, which is the distance of the eye");
+        let expected = format!("a depth z below {distance} mm, which is the eye's distance from the display");
         return Err(PipelineError::option("--focus", "Z", expected, focus_mm.to_string()));
     }
     // Average over a square grid of samples, without the samples outside of the pupil's disc.

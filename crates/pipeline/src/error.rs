@@ -62,7 +62,7 @@ pub enum PipelineError {
     },
     /// The folder has no plan of units of work.
     #[error(
-        "{}: expected a run folder with a farm's plan, found none; check that this machine shares the folder under the same path",
+        "{}: expected a run folder with a farm's plan, found none; check that this path leads to the shared run folder on this machine",
         folder.display()
     )]
     NoFarmPlan {

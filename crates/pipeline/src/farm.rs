@@ -10,9 +10,10 @@
 //! it executes its steps and records that it is done.
 //!
 //! Every unit except the last holds a shared lock of the run folder. The folder of a time step or
-//! node has its own lock. Units that make blocks of pictures or tiles there share this lock; a unit
-//! that makes whole results holds it exclusively. The last unit runs the whole job: it reuses all
-//! results and writes the reports. It holds the lock of the run folder exclusively.
+//! node has another lock. A unit that makes a block of pictures or a tile in such a folder shares
+//! the folder's lock with other units. A unit that makes whole results in it holds the lock
+//! exclusively. The last unit runs the whole job: it reuses all results and writes the reports. It
+//! holds the lock of the run folder exclusively.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -144,7 +145,7 @@ impl FarmPlan {
 /// finished.
 fn files_key(job: &Job, registry: &Registry) -> String {
     let mut key = KeyBuilder::new("files", &[]);
-    // The plan has the text of the job itself.
+    // Leave out the job file, since the plan's id already depends on the job's text.
     for (_, path) in folder::inputs(job, registry).into_iter().filter(|(role, _)| *role != "job file") {
         key.add("path", path.as_os_str().as_encoded_bytes());
         if let Ok(hash) = content_hash(&path) {
@@ -174,7 +175,7 @@ pub fn farm_plan(
     block_size: BlockSize,
     task: Task<'_>,
 ) -> Result<FarmPlan, PipelineError> {
-    // Workers run in other folders, so all paths of the job become absolute.
+    // Workers may have other working folders, so all paths of the job become absolute.
     let mut job = engine::settled(job, None, task)?;
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     job.folder = absolute(&job.folder);
@@ -203,7 +204,7 @@ pub fn farm_plan(
     // The id does not depend on estimates. Estimates differ between machines, and results do not
     // depend on them.
     let ids: Vec<_> = made.units.iter().map(|unit| (&unit.id, &unit.inputs, &unit.steps)).collect();
-    // It depends on the files that the job names, so that a changed scene is a new plan.
+    // The id depends on the files that the job names, so that a changed scene is a new plan.
     let all = (&made.job, &made.code, ids, files_key(&job, registry));
     let all = serde_json::to_string(&all).expect("plans serialize");
     made.id = hash(all.as_bytes())[..DIGITS].to_owned();

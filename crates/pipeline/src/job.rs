@@ -48,8 +48,8 @@ pub struct Job {
     /// Version of the format.
     #[serde(default = "version")]
     pub version: u32,
-    /// Name in reports and of the run folder. Default: the file's name without extension, but for a
-    /// file `job.toml` the name of its folder.
+    /// Name of the job in reports, and name of the run folder. Default: the file's name without
+    /// extension; for a file `job.toml`, the name of its folder.
     #[serde(default)]
     pub name: String,
     /// Scene to render: `.gltf`, `.glb`, USD, `.blend`, or a file of an importer plugin. A job has
@@ -132,7 +132,7 @@ pub struct PoseJob {
     /// Name or number of glTF's material variant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub variant: Option<String>,
-    /// USD's variants: `set=variant` for every prim with this variant, `/prim{set=variant}` for one
+    /// USD's variants: `set=variant` for every prim that has the set, `/prim{set=variant}` for one
     /// prim.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub variants: Vec<String>,
@@ -308,7 +308,7 @@ impl Job {
     }
 
     /// Returns the denoiser. `auto` selects no denoiser if the job or the display fixes the number
-    /// of views, or if Blender may render them. Otherwise `auto` selects shared light.
+    /// of views, or if Blender may render them. Otherwise `auto` selects the filter `shared`.
     pub(crate) fn denoise_for(&self, display: &Display) -> Denoise {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         match self.render.denoise {
@@ -521,8 +521,8 @@ mod tests {
         assert_eq!(views("most_views = 9"), [3, 3]);
     }
 
-    /// Fixed views that share light have further paths. Chosen views that share light have sparse
-    /// paths and a further ray.
+    /// With the filter `shared`, fixed views get further paths. Automatic views get sparse paths
+    /// and, with one path per pixel, a further ray.
     #[test]
     fn views_that_share_light_have_more_or_fewer_paths() {
         let of = |views: &str, render: &str| {

@@ -183,7 +183,7 @@ pub fn write_output(
 
 /// Input of [`write_report_on`].
 pub struct ReportOn<'a> {
-    /// Title of the page.
+    /// Title of the report.
     pub title: &'a str,
     /// The display.
     pub display: &'a Display,

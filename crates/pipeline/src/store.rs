@@ -3,7 +3,7 @@
 //! ```text
 //! key        hash of a result's inputs           code           fingerprints of crates, for keys
 //! stamps     records of results, with their keys views          cached pictures with hashes
-//! files      atomic writes                       settings       sealed job.toml and display.toml
+//! files      atomic writes                       settings       job.toml, display.toml with hashes
 //! lock       one owner of a folder at a time     names          names of the files of a run
 //! folder     locks a folder for a job            left_overs     files of killed runs
 //! used       files that the last run used        clean          removes other cached files

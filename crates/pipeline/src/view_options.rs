@@ -24,8 +24,9 @@ pub struct ViewOptions {
 /// An additional channel of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExtraChannel {
-    /// Depth z in display space, millimetres: of the first hit on the path nearest to the pixel's
-    /// centre. In a scene with splats, of the first surface or splat at the pixel's centre.
+    /// Depth z in display space, millimetres. It is the depth of the first hit on the path nearest
+    /// to the pixel's centre. In a scene with splats, it is the depth of the first surface or splat
+    /// at the pixel's centre.
     Depth,
     /// Mean shading normal of the first hits.
     Normal,
@@ -151,8 +152,8 @@ impl ViewOptions {
     }
 
     /// Returns the smallest number of paths per pixel and view that the channels need. The variance
-    /// of a mean needs two paths, or three if the filter compares two halves of the paths. Sparse
-    /// paths are at least a quarter of all paths.
+    /// of a mean needs two paths, or three if the filter compares two halves of the paths. If paths
+    /// are sparse, a pixel gets at least a quarter of the view's paths, so a view needs eight.
     pub(crate) fn least_samples(&self, job: &Job, display: &Display) -> u32 {
         let is_sparse = job.split_settings(Settings::default(), display).sparse_paths;
         match (self.variance(), job.render.denoise.takes_halves()) {

@@ -50,8 +50,8 @@ pub struct Descriptor {
     /// sources, [`LIGHT_FIELD`](port::LIGHT_FIELD) for nodes. An output accepts
     /// [`LIGHT_FIELD`](port::LIGHT_FIELD), [`LAYER_STACK`](port::LAYER_STACK) or both.
     pub ports: u32,
-    /// Name in job files and on the command line: lower-case letters, digits and underscores; the
-    /// first is a letter.
+    /// Name in job files and on the command line: lower-case letters, digits and underscores. The
+    /// first character is a letter.
     pub id: Str,
     /// Version of the plugin, `major.minor.patch`.
     pub version: Str,

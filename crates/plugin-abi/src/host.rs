@@ -6,7 +6,7 @@ use crate::{Bytes, Data, ErrorSink, Plane, Status, Str, View};
 
 /// Levels of [`HostServices::log`].
 pub mod level {
-    /// An operation failed, and the plugin continues without it.
+    /// An operation failed, and the plugin continues without its result.
     pub const ERROR: u32 = 1;
     /// A problem that the user should know.
     pub const WARN: u32 = 2;
@@ -39,8 +39,8 @@ pub struct HostServices {
     /// Returns nonzero once the user cancelled. A plugin calls this function often during long
     /// work. After a nonzero result the plugin returns [`Status::CANCELLED`].
     pub is_cancelled: unsafe extern "C" fn(context: *const c_void) -> u8,
-    /// Starts a file, with `*file` as its handle. `path` is relative to the output's folder, with
-    /// `/` between names and no `..`.
+    /// Creates a file, and stores its handle in `*file`. `path` is relative to the output's folder,
+    /// with `/` between names and no `..`.
     pub file_open:
         unsafe extern "C" fn(context: *const c_void, path: Str, file: *mut u64, error: *const ErrorSink) -> Status,
     /// Appends bytes to an open file.

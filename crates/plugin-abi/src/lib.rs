@@ -43,9 +43,9 @@
 //! * Additions raise the minor version: members at the ends of structs, constants, and keys of JSON
 //!   texts. A reader accepts every struct that has all members of version 1.0, and regards missing
 //!   later members as null or zero.
-//! * An older program of version 1.a also loads a plugin of version 1.b. The plugin reads `size`
-//!   before it uses a later member. The plugin refuses only work that needs a service that the
-//!   program lacks.
+//! * An older program of version 1.a, with a < b, also loads a plugin of version 1.b. Before the
+//!   plugin uses a member that was added after version 1.0, it reads the struct's `size`. The
+//!   plugin refuses only work that needs a service that the program lacks.
 
 // the example of README.md is a test
 #![cfg_attr(doctest, doc = include_str!("../README.md"))]
@@ -63,14 +63,15 @@ pub use makers::{Assets, ByteSink, FieldSink, ImporterVtable, NodeVtable, Source
 
 use core::ffi::c_void;
 
-/// Version of the existing structs and functions; the same on both sides. See the crate's page for
-/// the promises of versions 1.x.
+/// Major version of the interface, which must be the same in the program and in the plugin. The
+/// section *Versions* of this crate's documentation lists the promises of versions 1.x.
 pub const ABI_MAJOR: u32 = 1;
 
-/// Version of the additions: members at the ends of structs, constants and keys of JSON.
+/// Minor version of the interface. Additions raise it: members at the ends of structs, constants,
+/// and keys of JSON.
 pub const ABI_MINOR: u32 = 0;
 
-/// Prefix of a plugin's entry symbol; its id follows. See [`Entry`].
+/// Prefix of a plugin's entry symbol; the plugin's id follows the prefix. See [`Entry`].
 pub const ENTRY_PREFIX: &str = "lumistack_plugin_entry_";
 
 /// Lent UTF-8 text.
@@ -117,7 +118,7 @@ impl Status {
     pub const OK: Self = Self(0);
     /// The call failed; the error text states why.
     pub const FAILED: Self = Self(1);
-    /// The call stopped because the host cancelled. The input may be valid or invalid.
+    /// The call stopped because the host cancelled. This does not state whether the input is valid.
     pub const CANCELLED: Self = Self(2);
     /// The callee does not support the parameters or data; the error text names them.
     pub const REFUSED: Self = Self(3);
@@ -125,8 +126,8 @@ impl Status {
     pub const PANICKED: Self = Self(4);
 }
 
-/// Receives the error text of one call. The caller provides it, so no memory changes its owner, and
-/// calls from several threads do not mix their texts.
+/// Receives the error text of one call. The caller provides the sink, so no memory changes its
+/// owner, and calls from several threads do not mix their texts.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct ErrorSink {

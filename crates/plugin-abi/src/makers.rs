@@ -49,9 +49,9 @@ pub struct ImporterVtable {
     /// Extensions of the files that the importer reads: lower case, without the dot, separated by
     /// spaces.
     pub extensions: Str,
-    /// Reads the file `file`, a name for `assets`, and writes a whole `.glb` or `.gltf` to `scene`.
-    /// The document may refer to files in the imported file's folder. `host` offers messages,
-    /// progress and cancellation, but no files.
+    /// Reads the file `file`, a path for `read` of `assets`, and writes a whole `.glb` or `.gltf`
+    /// to `scene`. The document may refer to files in the imported file's folder. `host` offers
+    /// messages, progress and cancellation, but no files.
     pub import: Option<
         unsafe extern "C" fn(
             host: *const HostServices,
@@ -122,7 +122,7 @@ pub struct StackSink {
     /// Passed to every function.
     pub context: *mut c_void,
     /// Sets the brightness β, above 0 and at most 1: the patterns emit β times the target. Without
-    /// this call β is the display's.
+    /// this call β is the brightness in the display file.
     pub brightness: unsafe extern "C" fn(context: *mut c_void, brightness: f64, error: *const ErrorSink) -> Status,
     /// Copies the values `[row][col][rgb]` of one layer (0 = rearmost) and frame, linear, 0..1.
     /// Called exactly once for each layer and frame.
@@ -143,10 +143,10 @@ pub struct StackSink {
         plane: *const Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Reports the progress of an iterative method. `objective` is the value that the method
-    /// minimizes, after `iteration` iterations; iteration 0 is the start. `psnr_view_db` is the
-    /// PSNR of the emitted light field against the target, dB; NaN if it is unknown. Optional;
-    /// `iteration` must increase from call to call.
+    /// Reports the progress of an iterative method; nodes may omit this call. `objective` is the
+    /// value that the method minimizes, after `iteration` iterations. Iteration 0 is the start, and
+    /// `iteration` must increase from call to call. `psnr_view_db` is the PSNR of the emitted light
+    /// field against the target, dB; NaN if it is unknown.
     pub step: unsafe extern "C" fn(
         context: *mut c_void,
         iteration: u32,
@@ -155,12 +155,13 @@ pub struct StackSink {
         error: *const ErrorSink,
     ) -> Status,
     /// Reports the result of an iterative method: `{"solver", "start", "coarse_levels",
-    /// "kkt_residual", "levels"}`. Optional; called at most once.
+    /// "kkt_residual", "levels"}`. Nodes may omit this call, and make it at most once.
     ///
     /// * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
     ///   solved first.
     /// * `kkt_residual`: if one value of the patterns had one more exact update, the emission would
-    ///   change. The residual is the root mean square of this change over all values.
+    ///   change. The residual is the root mean square of this change over all values of the
+    ///   patterns.
     /// * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
     ///   bits, or null.
     pub solution: unsafe extern "C" fn(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status,

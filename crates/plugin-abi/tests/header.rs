@@ -12,7 +12,7 @@ use std::process::Command;
 use cbindgen::{Builder, Config, ExportConfig, Language, RenameRule};
 use lumistack_plugin_abi as abi;
 
-/// Names of constants in C: a module's constants begin with its name.
+/// Constants by module. In C, the name of a constant begins with the name of its module.
 const CONSTANTS: [(&str, &[&str]); 6] = [
     ("KIND", &["IMPORTER", "SOURCE", "NODE", "OUTPUT"]),
     ("PORT", &["SCENE", "LIGHT_FIELD", "LAYER_STACK", "FILE"]),

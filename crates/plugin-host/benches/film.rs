@@ -1,8 +1,8 @@
-//! Makes a film for a printed display whose data exceed the memory.
+//! Makes the PDF of a printed display whose patterns are larger than the allowed memory.
 //!
-//! One process writes the patterns tile by tile, and another makes a PDF of them with the plugin
-//! `transparencies`. The memory of each process is limited to less than a gigabyte, cached pages of
-//! files included, if the system permits it.
+//! One process writes the patterns tile by tile. Another process makes a PDF of these patterns with
+//! the plugin `transparencies`. The memory of each process is limited to less than a gigabyte,
+//! cached pages of files included, if the system permits the limit.
 //!
 //! `cargo bench -p lumistack-plugin-host --bench film -- [COLUMNS ROWS] [FOLDER]`
 
@@ -39,8 +39,8 @@ fn main() -> Outcome {
     }
 }
 
-/// Makes a display of two films. The front film has few pixels, since one large film is enough for
-/// the measurement.
+/// Makes a display of two films (layers printed on transparent foil). The front film has few
+/// pixels, since one large film is enough for the measurement.
 fn display(size: &[&str]) -> Result<Display, Box<dyn Error>> {
     let [cols, rows] = size else { return Err("expected columns and rows".into()) };
     let resolution = [cols.parse()?, rows.parse()?];

@@ -166,8 +166,8 @@ fn name_of(path: &Path) -> Result<String, LoadError> {
     own.map(String::from).ok_or_else(|| LoadError::Name { path: path.into(), expected: file_name("NAME") })
 }
 
-/// Opens a library in this process and takes the plugin `id`. `path` is absolute, since the loader
-/// searches other folders for a bare name.
+/// Opens a library in this process and returns the plugin `id`. `path` is absolute, since the
+/// loader searches other folders for a bare name.
 pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     // SAFETY: the user named this plugin to be run; initializers of plugin libraries have no
     // preconditions.
@@ -202,15 +202,15 @@ fn loader_message(error: &libloading::Error) -> String {
 fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     let read = |source| LoadError::Read { path: path.into(), source };
     let other = |found: String| LoadError::NotALibrary { path: path.into(), found };
-    // check before opening: Windows opens no folders
+    // check for a folder first, since Windows cannot open a folder as a file
     if fs::metadata(path).map_err(read)?.is_dir() {
         return Err(other("a folder".into()));
     }
     let file = File::open(path).map_err(read)?;
     let data = ReadCache::new(file);
     match FileKind::parse(&data) {
-        // The file contains one library per machine, and the loader selects one of them. The
-        // exports are not read. The file is listed as one plugin, whose id is `<name>` in the
+        // A fat Mach-O file contains one library per machine, and the loader selects one of them.
+        // The exports are not read. The file is listed as one plugin, whose id is `<name>` in the
         // file's name `lumistack_plugin_<name>`.
         Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(vec![name]),
         Ok(_) => {}

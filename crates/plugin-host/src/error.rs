@@ -117,7 +117,7 @@ pub enum LoadError {
         source: io::Error,
     },
     /// A folder that the user named contains no plugin library.
-    #[error("{}: expected files named like `{expected}`, found none: `cargo build --release` writes a plugin's library to `target/release`", path.display())]
+    #[error("{}: expected files named like `{expected}`, found none; `cargo build --release` writes a plugin's library to `target/release`", path.display())]
     NoLibraries {
         /// The folder.
         path: PathBuf,

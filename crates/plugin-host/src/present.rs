@@ -49,7 +49,8 @@ pub struct PresentContext<'a> {
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Runs the presenter `id` until the user closes or cancels the presentation. Callers call this
-/// function on the main thread, which windows require. A presenter writes no files.
+/// function on the main thread, since some systems allow windows only there. A presenter writes no
+/// files.
 ///
 /// # Errors
 /// If no presenter has this id, or the presenter refuses parameters, display or layer stacks, or

@@ -167,6 +167,7 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
 
 /// Returns parameters with switches on and choices at their last option. The parameters are changed
 /// one after another; a change is kept if the plugin accepts it together with the earlier changes.
+/// `None` if no change is kept.
 fn everything(plugin: &Plugin, sample: &Sample, at_default: &[&str]) -> Option<Value> {
     let mut on = Map::new();
     for param in varied(plugin, at_default) {

@@ -16,7 +16,7 @@ use crate::rules::{Broken, bad_parameters_are_refused, closed, defaults_and_ends
 
 type Made<T> = Result<T, PluginError>;
 
-/// Returns displays of several kinds. A node must support at least one of them.
+/// Returns displays of several kinds. A node or source must accept at least one of them.
 fn displays() -> Vec<Display> {
     let of = |layers: &[f64], frames: usize| Display::uniform([8, 6], 1.0, [3, 2], [20.0, 14.0], layers, frames);
     let mut directional = of(&[0.0], 1);

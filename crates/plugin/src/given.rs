@@ -17,7 +17,6 @@ pub(crate) unsafe fn params_of<T: DeserializeOwned>(schema: Schema, params_json:
     let text = unsafe { lent_text(params_json, "parameters")? };
     let given: Value = serde_json::from_str(text).map_err(|error| PluginError::failed("parameters", error))?;
     let resolved = schema.resolve(&given)?;
-    serde_json::from_value(Value::Object(resolved)).map_err(|error| {
-        PluginError::failed("parameters that fit the plugin's schema, but not the plugin's own type", error)
-    })
+    serde_json::from_value(Value::Object(resolved))
+        .map_err(|error| PluginError::failed("the plugin's type `Params` does not fit the plugin's schema", error))
 }

@@ -53,8 +53,9 @@ impl Host {
         &self,
         service: impl FnOnce(&HostServices, *const crate::abi::ErrorSink) -> crate::abi::Status,
     ) -> Result<(), PluginError> {
-        self.with(|table| call(|error| service(table, error)))
-            .unwrap_or_else(|| Err(PluginError::Failed("the output is already closed".into())))
+        self.with(|table| call(|error| service(table, error))).unwrap_or_else(|| {
+            Err(PluginError::Failed("the plugin called the host after the host's services had ended".into()))
+        })
     }
 
     /// Reports a failure after which the plugin continues.
@@ -180,7 +181,7 @@ impl Host {
 /// Interval at which [`Host::run`] checks for cancellation.
 const CANCEL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Ends, when dropped, the thread that checks for cancellation.
+/// Guard whose drop ends the thread that checks for cancellation.
 struct Done<'a> {
     done: &'a AtomicBool,
     checker: Thread,
@@ -319,8 +320,9 @@ impl OutputFile {
     /// Completes the file, which appears when the output has finished.
     ///
     /// # Errors
-    /// If the host cannot complete the file, or could not write some of its bytes. Some encoders
-    /// write their last bytes when they are dropped, and ignore the error.
+    /// If the host cannot complete the file, or could not write some of its bytes. Errors of
+    /// earlier writes are reported again, since some encoders write their last bytes when they are
+    /// dropped, and ignore errors.
     pub fn commit(mut self) -> Result<(), PluginError> {
         if let Some(error) = self.failed.take() {
             return Err(error);

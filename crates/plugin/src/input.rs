@@ -46,8 +46,8 @@ pub struct StackInput<'a> {
     depth: Option<SeenDepth>,
 }
 
-/// A light field: linear radiance of many views after exposure, at least 0. Values
-/// above 1 are rare.
+/// A light field: linear radiance of many views after exposure, at least 0. Values above 1 are
+/// rare.
 #[derive(Debug)]
 pub struct FieldInput<'a> {
     lent: Lent<'a>,
@@ -116,7 +116,8 @@ impl StackInput<'_> {
         self.brightness
     }
 
-    /// Returns [bins_y, bins_x, lenslet_rows, lenslet_cols] of a directional backlight.
+    /// Returns [bins_y, bins_x, lenslet_rows, lenslet_cols] of a directional backlight; `None` for
+    /// a uniform backlight.
     pub fn emission_shape(&self) -> Option<[usize; 4]> {
         self.emission
     }
@@ -293,7 +294,8 @@ impl Lent<'_> {
         let data = unsafe { &*self.data };
         let mut plane = Plane::empty();
         call(|error| fetch(data, &mut plane, error))?;
-        // SAFETY: the host filled the plane, and lends it at least until the submit returns.
+        // SAFETY: the host filled the plane, and lends it at least until `submit` or `make`
+        // returns.
         unsafe { PlaneView::new(plane) }
     }
 

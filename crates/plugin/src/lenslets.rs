@@ -9,8 +9,8 @@
 //! ```
 //!
 //! at every point of the lens. At height h above the axis, a ray arrives with slope (h − u)/f, and
-//! the lens adds −h/f. Horizontally or vertically, let A bins divide the full angle α. Then in the
-//! display model a lens emits at slope s the value of bin floor(A/2 · (1 + s / tan(α/2))).
+//! the lens adds −h/f. Along each axis, A bins divide the full angle α. In the display model, the
+//! light that a lens emits at slope s is the value of bin floor(A/2 · (1 + s / tan(α/2))).
 //!
 //! A lens is not a whole number of pixels wide (2.54 mm are 8.98 pixels of 0.2827 mm). Therefore
 //! the lens and the offset u are computed for every pixel. Coordinates are millimetres in display
@@ -37,7 +37,7 @@ pub struct LensletPanel {
     pub offset_mm: [f64; 2],
     /// [horizontal, vertical] angular bins of the emission.
     pub bins: [usize; 2],
-    /// [horizontal, vertical] full angles of the bins, degrees.
+    /// [horizontal, vertical] full angle that all bins of an axis together cover, degrees.
     pub fov_deg: [f64; 2],
 }
 
@@ -239,8 +239,8 @@ mod tests {
             let share = same as f64 / all as f64;
             println!("{rotation_deg}°, {offset_mm:?}: {share:.4} of the rays");
             // A bin is 7.2 pixels of this panel wide on both axes. A ray near a bin's border may
-            // hit a pixel whose centre is in the next bin. This pixel shows another view than the
-            // expected one.
+            // hit a pixel whose centre is in the next bin. This pixel has the value of the next
+            // bin.
             assert!(share > 0.85, "{share}");
         }
     }
@@ -280,7 +280,7 @@ mod tests {
             assert_eq!(map.y(0)[0], lit_by(spot.lenslet[0], spot.bin[0]), "{row} {col}");
             lit += 1;
         }
-        assert!(lit > 1500, "{lit} pixels are behind a lens");
+        assert!(lit > 1500, "expected more than 1500 pixels behind a lens, found {lit}");
     }
 
     #[test]

@@ -35,13 +35,13 @@ pub struct Step {
 pub struct Solution {
     /// Name of the solver.
     pub solver: String,
-    /// Name of the start.
+    /// Name of the start, such as `random`; `warm` for a warm start.
     pub start: String,
     /// Number of coarser resolutions that were solved first. Each is half the next finer
     /// resolution.
     pub coarse_levels: u32,
     /// KKT residual. If one value of the factors had one more exact update, the emission would
-    /// change. The residual is the root mean square of this change over all values.
+    /// change. The residual is the root mean square of this change over all values of the factors.
     pub kkt_residual: f64,
     /// For panels of few bits, the PSNR in dB with continuous masks, with rounded masks, and with
     /// masks that are optimized again after the rounding. `None` for panels of many bits.

@@ -1,5 +1,5 @@
-//! The description of a plugin's parameters. Help texts, defaults, checks and forms are derived
-//! from it.
+//! The description of a plugin's parameters. Help texts, defaults, checks and input forms are
+//! derived from this description.
 
 use std::fmt;
 use std::ops::RangeInclusive;

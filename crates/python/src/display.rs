@@ -184,7 +184,7 @@ impl Display {
         )
     }
 
-    /// Displays that are equal have equal hashes. The hash contains only some of the values.
+    /// Returns a hash of some of the values. Equal displays have equal hashes.
     fn __hash__(&self) -> u64 {
         let mut hasher = DefaultHasher::new();
         let display = &*self.0;

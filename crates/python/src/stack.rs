@@ -271,8 +271,7 @@ impl LayerStack {
         Ok(LightField::plain(field))
     }
 
-    /// Returns the weight that psnr() gives to every ray of a light field, [view_y, view_x, row,
-    /// col].
+    /// Returns the weight of every ray of a light field, [view_y, view_x, row, col].
     ///
     /// A ray that misses the display has weight 0. Other rays have their weight in `weights`, or 1.
     ///
@@ -370,7 +369,7 @@ fn used_views(display: &Description, grid: &ViewGrid) -> usize {
     count(&grid.slope_x, &geometry.grid.slope_x) * count(&grid.slope_y, &geometry.grid.slope_y)
 }
 
-/// Returns the weight that `score` gives to every ray, `[view_y][view_x][row][col]`.
+/// Returns the weight of every ray, `[view_y][view_x][row][col]`; 0 for rays that miss the display.
 fn ray_weights(display: &Description, stack: &Stack, target: &Field, weights: &Weights) -> Tensor<4> {
     let geometry = target.geometry();
     let [view_rows, view_cols] = geometry.grid.views();

@@ -16,7 +16,7 @@ use crate::error::{exception, setting};
 pub(crate) const DISPLAY: &str = "display";
 /// Index of a light-field folder.
 const INDEX: &str = "lightfield.json";
-/// Suffixes of files that users expect save() to write, but it writes a folder.
+/// Suffixes that save() refuses for a new folder, since users would expect a file.
 const FILES: [&str; 16] =
     ["npz", "exr", "png", "jpg", "jpeg", "tif", "tiff", "hdr", "json", "toml", "h5", "hdf5", "pt", "mat", "zip", "pkl"];
 
@@ -98,7 +98,8 @@ pub(crate) fn check_free(py: Python<'_>, folder: &Path, holds: Holds) -> PyResul
         );
         return Err(exception(py, "FileError", &message));
     }
-    // Finished content of save() has an index.
+    // A folder that save() has completed contains an index. Without an index, these names belong to
+    // another program or to a stopped save().
     let (index, names) = match holds {
         Holds::Views => (INDEX.to_owned(), vec!["view_00_00.exr", "view_000_000.exr"]),
         Holds::Patterns => (format!("layers/{}", StackIndex::FILE), vec!["display.toml", "layers"]),

@@ -77,8 +77,8 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
         let source = std::io::Error::from(std::io::ErrorKind::NotFound);
         return Err(raised(py, &PipelineError::Read { path: path.into(), source }));
     }
-    // Run the walker. If it refuses the file, this is an error of the scene; all other exceptions
-    // are raised unchanged.
+    // Run the walker. If it refuses the file, raise an error of the scene. Raise all other
+    // exceptions unchanged.
     let modules = modules(py)?;
     let request = PyDict::new(py);
     request.set_item("path", path.to_string_lossy())?;

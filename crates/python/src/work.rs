@@ -87,7 +87,7 @@ pub(crate) fn command(py: Python<'_>, words: &[OsString]) -> PyResult<u8> {
     result.map_err(|panic| panicked(py, &*panic))
 }
 
-/// Runs `work` in another thread. Meanwhile it calls `poll` repeatedly in this thread, until the
+/// Runs `work` in another thread. Meanwhile calls `poll` repeatedly in this thread, until the
 /// work is done or `poll` has returned an error.
 fn beside<T: Send>(
     py: Python<'_>,

@@ -256,7 +256,8 @@ def test_directions_for_the_score_lie_between_the_views() -> None:
             assert 1 <= len(found) <= most and len(found) >= min(2, most, count - 1)
             assert found == pytest.approx([-slope for slope in found[::-1]]) or most == 1
             assert all(min(abs(slope - view) for view in views) == pytest.approx(0.05) for slope in found)
-    # The picture after a run is next to straight ahead, to the right or up.
+    # The direction of the picture after a run is the nearest to straight ahead. Of two such
+    # directions, it is the one to the right or up.
     assert between.beside_middle([-0.1, 0.0, 0.1]) == pytest.approx(0.05) == between.beside_middle([0.1, 0.0, -0.1])
     assert between.beside_middle([-0.15, -0.05, 0.05, 0.15]) == pytest.approx(0.0) and between.beside_middle([0.0]) == 0.0
 
@@ -268,7 +269,7 @@ def test_the_score_of_two_noisy_renders_has_no_noise() -> None:
     pictures = [*truth, (truth[0] + truth[1]) / 2.0]
     errors = [float(numpy.mean((seen - picture) ** 2)) for picture in pictures]
     found = [{"directions": [((0.0, 0.0), -10.0 * math.log10(error))]} for error in errors]
-    # The standard deviation of the mean product is 0.00005, so a false alarm has 6 of them.
+    # The mean product has a standard deviation of 0.00005. The tolerance is more than 6 of them.
     assert between.score(found).psnr_zone == pytest.approx(20.0, abs=0.15)
     assert between.score(found[:1]).psnr_zone < 16.0
     both = between.score([{"directions": [((0.0, 0.0), 20.0), ((0.1, 0.0), 30.0)]}])
@@ -299,7 +300,8 @@ def test_a_far_backdrop_does_not_flatten_the_scene() -> None:
 
 def test_depths_are_in_front_or_behind() -> None:
     assert depth.place(-94.2) == "94 mm behind" and depth.place(60.0) == "60 mm in front of" and depth.place(-math.inf) == "far behind"
-    # Single precision may move content out of the range that a fit brought to its ends.
+    # A fit brings content to the ends of the range. Single precision may move this content slightly
+    # out of the range.
     assert depth.outside([-80.00001, 80.00001], (-80.0, 80.0)) == 0.0 and depth.outside([-82.0, 82.0, 0.0, 1.0], (-80.0, 80.0)) == 0.5
     assert depth.outside([-1e9, 3.0], (-math.inf, 4.0)) == 0.0
     text = depth.sentence([-300.0, 40.0], (-80.0, 80.0)) or ""
@@ -381,7 +383,7 @@ def test_words_become_settings() -> None:
     asked = command_line.parse(["--window-size", "0.5", "--handover", "both", "--renderer", "lumistack"])
     assert asked.settings == {"window_size": 0.5, "handover": "BOTH", "renderer": "LUMISTACK"}
     assert command_line.parse(["--quality", "draft", "--views", "half", "--no-score"]).settings == {"quality": "DRAFT", "views_from": "HALF", "use_score": False}
-    # A distance belongs to eyes, so it selects their projection.
+    # --distance-mm is the distance of eyes, so it selects the perspective grid.
     for words in (["--distance-mm", "500"], ["--distance-mm", "500", "--grid", "perspective"]):
         assert command_line.parse(words).settings == {"distance_mm": 500.0, "grid": "PERSPECTIVE"}
     for grid in ("oblique", "display"):
@@ -515,7 +517,7 @@ def test_a_program_attaches_to_a_live_display_and_leaves_it_running(tmp_path: Pa
     ended = until(again, lambda state: state.code is not None)
     assert ended.code == 0 and Path(ended.report).is_file()
     until(live, lambda state: state.code is not None)
-    # The file of a program that was killed stays.
+    # A killed program does not remove its file live.json.
     door.write_text(kept)
     with pytest.raises(OSError, match="found the folder of a program that has ended"):
         Attached(run)

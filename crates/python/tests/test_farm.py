@@ -52,8 +52,8 @@ def command(*words: str | Path) -> str:
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """Returns the files of a run and their bytes. Caches and reports are omitted, since they contain
-    times."""
+    """Returns the files of a run and their bytes. Omits caches, reports (which contain times) and
+    the job file."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file() and "cache" not in path.relative_to(folder).parts)
     kept = (path for path in files if not path.name.startswith("report.") and path.name != "job.toml")
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
@@ -90,7 +90,7 @@ def cluster() -> Iterator[Any]:
 
 
 def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
-    """A worker that is spawned imports the script. Without a guard, the script then calls farm() again."""
+    """A spawned worker imports the script. Without a guard, the script then calls `plan` again."""
     script = tmp_path / "farm_of_mine.py"
     lines = ["import multiprocessing, lumistack.farm", "try:", "    lumistack.farm.plan('nothing.toml', 'run')"]
     lines += ["except lumistack.farm.FarmError as error:", "    print(error, flush=True)", "if __name__ == '__main__':"]

@@ -1,5 +1,5 @@
-"""Pickles, copies and folders keep what later numbers depend on, or a warning says that they do
-not."""
+"""Pickles, copies and folders keep the display, the settings and the reference pictures, on which
+later results depend. Otherwise a warning appears."""
 
 from __future__ import annotations
 

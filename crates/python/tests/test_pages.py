@@ -225,7 +225,7 @@ def test_tables_have_no_old_rows() -> None:
 def test_the_commands_of_a_page_work(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     folder = tmp_path / "page"
     pages.prepare(folder)
-    # the programs of this Python's environment first
+    # put the programs of this Python's environment first on PATH
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("LUMISTACK_PYTHON", sys.executable)
     known = {"folder": str(folder), "port": "", "scheduler": ""}

@@ -23,7 +23,8 @@ SMALL = {"resolution": (42, 26), "views": (3, 3), "frames": 2}
 
 def emitted(stack: LayerStack, light_field: LightField) -> Any:
     """Returns the emitted light field by a naive forward model. Each ray reads the nearest pixel of
-    every layer; its light is the mean over the frames of the product of these values."""
+    every layer; its light is the mean over the frames of the product of these values. Also returns
+    True for each ray that hits all layers."""
     view_rows, view_cols, rows, cols, _ = light_field.shape
     shown = numpy.zeros(light_field.shape)
     counts = numpy.ones(light_field.shape[:4], bool)

@@ -1,4 +1,4 @@
-"""Plugins in libraries run in child processes, which the running Python interpreter executes."""
+"""Plugins in libraries run in child processes, which start the running Python interpreter anew."""
 
 from __future__ import annotations
 

@@ -94,8 +94,8 @@ def test_errors_and_callbacks_stay_in_their_threads(
     assert at_once(work) == expected
 
 
-#: A new process: the threads make the first calls of the package, which build tables and find the plugins. The first
-#: line of output states whether Python's lock is on.
+#: Program of a new process, whose threads make the first calls of the package. These calls build
+#: tables and find the plugins. The first line of output states whether Python's lock is on.
 FIRST = """
 import sys, threading
 import lumistack

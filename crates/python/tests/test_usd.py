@@ -22,7 +22,7 @@ SMALL: dict[str, Any] = {"resolution": (32, 20), "views": (2, 2), "frames": 1}
 
 
 def stage_of_boxes(count: int = 2) -> Any:
-    """Boxes in a row, with a variant set that colours the first box."""
+    """Returns a stage of boxes in a row, with a variant set that colours the first box."""
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     for number in range(count):

@@ -21,8 +21,8 @@
 //! PSNR is defined as in the display crate: peak 1, linear light, over all channels and all rays
 //! with a weight w > 0 that hit the display. `psnr_view` compares L̃/β with L. `psnr_raw` compares
 //! L̃ with βL and is higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
-//! [`lumistack_core::metrics`] defines them. At the pixels of all other rays, both pictures have
-//! the target's value, and the means do not include these pixels.
+//! [`lumistack_core::metrics`] defines them. At the pixels of rays that the scores exclude, both
+//! pictures have the target's value, and the means do not include these pixels.
 //!
 //! # report.json
 //!

@@ -29,8 +29,8 @@ pub struct SceneParts {
     pub cameras: Vec<Camera>,
     /// Light from infinity; without it the scene is surrounded by black.
     pub environment: Option<Environment>,
-    /// Linear radiance ≥ 0 that the viewer sees past the scene, instead of the environment. Mirrors
-    /// and refracting surfaces show the environment.
+    /// Linear radiance ≥ 0 that the viewer sees behind the scene, instead of the environment.
+    /// Mirrors and refracting surfaces show the environment.
     pub backdrop: Option<Vec3>,
 }
 
@@ -96,7 +96,7 @@ pub enum LightKind {
     },
     /// The light's rays are parallel.
     Directional,
-    /// Light from a disc of the sky with one radiance, such as the sun. `intensity` is the
+    /// Light from a disc of the sky with uniform radiance, such as the sun. `intensity` is the
     /// irradiance of a surface that faces the disc's centre. This light illuminates surfaces, but
     /// cameras and mirrors do not show the disc.
     Distant {

@@ -169,7 +169,7 @@ impl Cloud {
         if let Some((i, fault)) = first_fault {
             self.keep(&kept);
             let dropped = count - self.len();
-            let message = format!("splats left out: {dropped} of {count}; the first is splat {i}: {fault}");
+            let message = format!("splats left out: {dropped} of {count}; splat {i}, the first of them, has {fault}");
             task.warn(&self.place, message);
         }
         self.rotations.iter_mut().for_each(|rotation| *rotation = rotation.normalize());
@@ -308,7 +308,7 @@ mod tests {
         assert_eq!((scene.splat_count(), scene.bounds().max.x), (2, 1.0));
         assert_eq!(scene.clouds[0].rotations, [Quat::IDENTITY; 2]);
         assert_eq!(warnings.len(), 1, "{warnings:?}");
-        assert!(warnings[0].contains("splats left out: 5 of 7; the first is splat 2: a position"), "{warnings:?}");
+        assert!(warnings[0].contains("splats left out: 5 of 7; splat 2, the first of them, has"), "{warnings:?}");
         let (none, _) = validated(cloud(&[f32::NAN]), &[Affine3A::IDENTITY]);
         assert!(none.unwrap_err().to_string().contains("at least one splat that is a Gaussian"));
         let short = Cloud { opacities: vec![], ..cloud(&[0.0]) };

@@ -11,8 +11,8 @@ use crate::{
     AlphaMode, Bounds, Camera, Instance, Lamp, LightKind, Material, Mesh, Pixels, SceneError, SceneParts, TextureUse,
 };
 
-/// Largest number of splats of a scene, copies included. A small file can reach any number by
-/// placing a cloud often.
+/// Largest number of splats of a scene, copies included. A small file may place one cloud any
+/// number of times.
 const MOST_SPLATS: usize = 1 << 27;
 
 /// A scene whose indices, numbers and transforms are valid. It dereferences to [`SceneParts`].
@@ -68,8 +68,8 @@ impl Scene {
         })
     }
 
-    /// Returns true if views of the scene need paths, since it has surfaces, or a background behind
-    /// its splats.
+    /// Returns true if views of the scene need paths: if the scene has surfaces, an environment or
+    /// a backdrop. Splats alone need no paths.
     pub fn needs_paths(&self) -> bool {
         !self.instances.is_empty() || self.environment.is_some() || self.backdrop.is_some()
     }

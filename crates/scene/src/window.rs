@@ -72,7 +72,8 @@ pub enum WindowError {
     },
 }
 
-/// Fraction of the window that automatic framing adds around the scene's bounds.
+/// Difference between the sizes of a framed window and of the scene's bounds, as a fraction of the
+/// size of the bounds.
 const FRAMING_MARGIN: f64 = 0.02;
 
 impl Window {
@@ -139,8 +140,8 @@ impl Window {
         })
     }
 
-    /// Returns a window in the same plane. Its centre is the point (x, y) of this window, in
-    /// millimetres, and its size in the scene is this window's size times `factor`.
+    /// Returns a window in the same plane. Its centre is the point `point_mm` = (x, y) of this
+    /// window, in millimetres. Its size in the scene is this window's size times `factor`.
     #[must_use]
     pub fn scaled_about(&self, point_mm: [f64; 2], factor: f64) -> Self {
         let map = self.scene_from_display;

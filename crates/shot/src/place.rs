@@ -45,8 +45,8 @@ const AS_GOOD: f64 = 0.01;
 const ROUNDED: f64 = 1e-6;
 /// Number of window positions to compare.
 const TRIED: usize = 2001;
-/// Smallest fraction of a pixel's detail that the display must still show in front of a window that
-/// is given by numbers. Nearer content, of which the display shows less detail, is cut off.
+/// Fraction of the frequency 1/(2 pitch) to which the display's bound has fallen at the near plane
+/// of a window that is given by numbers. Content in front of this plane is cut off.
 const LEAST_DETAIL: f64 = 0.125;
 /// Smallest factor to which fitting compresses depth. At this factor a scene looks nearly flat.
 const LEAST_SCALE: f64 = 0.03;
@@ -181,9 +181,9 @@ pub fn place<S: Subject>(
     })
 }
 
-/// Returns the z in front of the window up to which the display shows [`LEAST_DETAIL`] of its
-/// pixels' detail, mm. Returns `None` if the display shows this detail nowhere in front of the
-/// window, or at every z.
+/// Returns the z in front of the window up to which the display shows the frequency
+/// [`LEAST_DETAIL`] / (2 pitch), mm. Returns `None` if the display shows this frequency nowhere in
+/// front of the window, or at every z.
 fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
     let [_, far] = display.depths_shown(LEAST_DETAIL * 0.5 / pitch_mm)?;
     (far > 0.0 && far.is_finite()).then_some(far)
@@ -218,7 +218,7 @@ struct Fitting<'a> {
     /// Depth of field, mm.
     range: [f64; 2],
     projection: Projection,
-    /// Scale of the job.
+    /// Depth scale of the job.
     scale: f64,
     means: Means,
 }
@@ -312,7 +312,8 @@ impl Fitting<'_> {
                 if end == 0.0 { scale } else { scale.min(parallax(limit) / parallax(end)) }
             })
         };
-        // content that is left out must not draw the window to itself
+        // cap the fraction at the kept content, so that the window does not move towards content
+        // that is left out
         let enough = if left_out > ENDS[0] { ENDS[1] - left_out } else { 1.0 };
         let share = |by: f64| self.inside(by, scale_at(by)).min(enough);
         // twice the distance between two middles: of the shown quantiles, and of the depth of field

@@ -175,7 +175,7 @@ pub fn slopes(geometry: &FieldGeometry, views: &[[usize; 2]]) -> Vec<[f64; 2]> {
 }
 
 /// Blends the splats of a view over radiance `[..][rgb]` in place. Splats are `[..][r, g, b, T]`,
-/// where T is the fraction of the light behind a splat that passes through it.
+/// where T is the transmittance of all splats in the pixel.
 pub fn put_before(space: Space, splats: &[f32], radiance: &mut [f32]) {
     let put = |(radiance, splats): (&mut [f32], &[f32])| {
         for (behind, pixel) in radiance.as_chunks_mut::<3>().0.iter_mut().zip(splats.as_chunks::<4>().0) {

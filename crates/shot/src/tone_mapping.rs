@@ -77,7 +77,7 @@ impl ToneMapping {
     pub fn of_given(job: &LightJob) -> Option<Self> {
         let curve = match job.tone {
             Tone::Auto if job.exposure_ev == 0.0 => return None,
-            // no curve is set, so values above 1 are clipped
+            // `auto` sets no curve here, so values above 1 are clipped, as by `linear`
             Tone::Auto | Tone::Linear => ToneCurve::Linear,
             Tone::KhronosNeutral => ToneCurve::KhronosNeutral,
             Tone::Agx => ToneCurve::Agx,

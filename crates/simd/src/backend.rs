@@ -13,8 +13,8 @@ pub struct Backend(Set);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Set {
-    /// Plain code, for every machine of the target; eight lanes. A WebAssembly module with vectors
-    /// always uses them, so it does not have this set.
+    /// Plain code, for every machine of the target; eight lanes. A WebAssembly module that is
+    /// compiled with vectors always uses the vectors, so it does not have this set.
     #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
     Portable,
     /// AVX2 with FMA and F16C; eight lanes.

@@ -87,7 +87,7 @@ impl Kernel for Caller {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>(operands: &Operands) -> Results {
-        // SAFETY: the machine has V
+        // SAFETY: the machine has the instruction set of V
         unsafe { V::call::<Everything>(operands) }
     }
 }
@@ -194,8 +194,8 @@ fn every_operation_of_every_backend_is_that_of_plain_numbers() {
     let first = if cfg!(all(target_arch = "wasm32", target_feature = "simd128")) { "simd128" } else { "portable" };
     assert_eq!(Backend::available()[0].to_string(), first);
     for (index, backend) in Backend::available().iter().enumerate() {
-        // Portable code, the first set, rounds a product and a sum twice, and so does WebAssembly.
-        // All other sets round once.
+        // Portable code, the first set, rounds the product and then the sum, and so does
+        // WebAssembly. All other sets round once.
         let rounds_once = index > 0 && !cfg!(target_arch = "wasm32");
         for seed in 0..100 {
             let operands = operands(seed);

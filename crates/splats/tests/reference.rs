@@ -8,7 +8,7 @@ use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_scene::{Cloud, PlacedCloud, Scene, SceneParts, Similarity, Window};
 use lumistack_splats::{Renderer, SplatView, Surfaces, Wanted};
 
-/// PSNR of a view against the equations, in dB, which every view must exceed by 20 dB.
+/// PSNR in dB. The PSNR of every view against the equations must exceed this value by 20 dB.
 const LEAST_PSNR: f64 = 40.0;
 const PERSPECTIVE: Projection = Projection::Perspective { distance_mm: 300.0 };
 

@@ -7,8 +7,8 @@
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
-/// The usual false-alarm rate: with a few hundred such tests, one in hundreds of seeds makes a test
-/// fail. Seeds are fixed, so a test that passed keeps passing until the code changes.
+/// The usual false-alarm rate: with 300 such tests, about one seed in 300 makes a test fail. Seeds
+/// are fixed, so a test that passed keeps passing until the code changes.
 pub const FALSE_ALARM_RATE: f64 = 1e-5;
 
 /// Cells of a chi-square test with a smaller expected count are pooled: with small counts the

@@ -167,7 +167,7 @@ class Graph:
         if not shader:
             return None
         if self.depth > 50:
-            self.writer.warn(shader.GetPath(), "the shader is in a circle of shaders, or at the end of a chain of more than 50; the input keeps its default")
+            self.writer.warn(shader.GetPath(), "the shader is in a cycle of shaders, or at the end of a chain of more than 50 shaders; the input keeps its default")
             return None
         self.depth += 1
         found = self.node(shader, output)
@@ -179,8 +179,8 @@ class Graph:
         return self.input(shader.GetInput(name))
 
     def value(self, shader, name, default):
-        """Returns the value of a constant input. Any other input causes a warning, and `default` is
-        returned."""
+        """Returns the value of a constant input, or `default` if the input has no value. For an
+        input that is not constant, warns and returns `default`."""
         found = self.get(shader, name)
         if found is None:
             return default

@@ -94,7 +94,8 @@ class Skeletons:
     def of_mesh(self, query, target, joints, writer):
         """Returns the transforms of the joints that a mesh lists, in the mesh's order. Joints that
         the skeleton lacks do not move, as in UsdSkel."""
-        # AnimMapper.RemapTransforms does the same, but its arguments changed several times.
+        # AnimMapper.RemapTransforms does the same, but its arguments differ between versions of
+        # OpenUSD.
         order = target.GetJointOrder()
         if not order:
             return joints
@@ -132,7 +133,8 @@ class Skeletons:
         return self.blended(target, shapes, parts, indices, len(points), normals)
 
     def blended(self, target, shapes, parts, indices, point_count, normals):
-        """Returns normals with the weighted normal offsets of blend shapes, which are offsets of points."""
+        """Returns normals plus the weighted normal offsets of blend shapes. The offsets
+        belong to points, even if the normals are face-varying."""
         offsets = [Vt.Vec3fArray() for _ in range(shapes.GetNumSubShapes())]
         for _, shape, part in zip(*parts):
             between = shapes.GetInbetween(part)

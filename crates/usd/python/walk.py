@@ -443,7 +443,7 @@ def placements(instancer, time):
     motion = instancer.GetVelocitiesAttr(), instancer.GetAccelerationsAttr(), instancer.GetAngularVelocitiesAttr()
     if any(attribute.HasAuthoredValue() for attribute in motion):
         # OpenUSD adds velocity · time to the positions of a sample, so copy all other attributes.
-        # The variable keeps the copy's stage until the end of this function.
+        # The variable `stage` keeps the copy's stage until the end of this function.
         stage = Usd.Stage.CreateInMemory()
         still = UsdGeom.PointInstancer.Define(stage, "/still")
         for name in ("protoIndices", "positions", "orientations", "orientationsf", "scales"):

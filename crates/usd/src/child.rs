@@ -300,7 +300,7 @@ mod tests {
     }
 
     /// This test sends no signal to a child, since a shell or a test runner may make the child
-    /// ignore it.
+    /// ignore the signal.
     #[test]
     fn ctrl_c_in_the_child_is_no_crash() {
         use std::os::unix::process::ExitStatusExt;

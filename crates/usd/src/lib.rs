@@ -99,8 +99,8 @@ pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded
     let answer = child::ask(&request, task.cancel)?;
     let package = answer.package(name)?;
     let mut files: Vec<PathBuf> = package.header.files.iter().map(PathBuf::from).collect();
-    // The walker can miss the file itself, for example if OpenUSD resolves its name to another one.
-    // The keys of cached results must contain the file.
+    // The walker can miss the file itself, for example if OpenUSD resolves its name to another
+    // path. The keys of cached results must contain the file.
     let own = |file: &Path| std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned());
     if !files.iter().any(|file| own(file) == own(path)) {
         files.push(own(path));

@@ -297,8 +297,8 @@ pub(crate) struct Placement {
     pub(crate) chain: Vec<Link>,
 }
 
-/// A step in the chain of transforms from a shape to the stage. For each of its matrices, it makes
-/// one copy of everything that the earlier links place.
+/// A link in the chain of transforms from a shape to the stage. For each of its matrices, the link
+/// makes one copy of everything that the earlier links place.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Link {
     /// Matrices `[n][4][4]` for row vectors, as in USD: the translation is the last row.

@@ -450,7 +450,8 @@ impl<'a> Assembly<'a> {
                 geometry.colors.clear();
             }
             let mut material = material;
-            // `place` adds the emission of a light with `normalize`, since it depends on the copy.
+            // [`Self::place`] adds the emission of a light with `normalize`, since this emission
+            // depends on the area of each copy.
             if let Some(light) = entry.light.as_ref().filter(|light| !lights::is_normalized(light))
                 && let Some(emissive) = lights::emissive(light, &self.parts.materials[material], 1.0)
             {
@@ -472,7 +473,7 @@ impl<'a> Assembly<'a> {
         })
     }
 
-    /// For every face, returns 1 + the index of its subset, or 0 for a face without a subset.
+    /// Returns, for every face, 1 + the index of its subset, or 0 for a face without a subset.
     /// Returns `None` if the mesh has no subsets. If subsets overlap, the first one applies.
     fn slots(&self, entry: &MeshEntry) -> Result<Option<Vec<u32>>, Fault> {
         if entry.subsets.is_empty() {
@@ -481,7 +482,8 @@ impl<'a> Assembly<'a> {
         let faces = entry.counts.as_ref().and_then(|counts| counts.shape.first().copied()).unwrap_or(0);
         let mut slots = vec![0; faces.min(self.package.buffers.iter().map(|buffer| buffer.len()).max().unwrap_or(0))];
         for (number, subset) in (1..).zip(&entry.subsets) {
-            // A subset of a changed mesh may list a million faces that the mesh lacks.
+            // A subset of a changed mesh may list a million faces that the mesh lacks, so one
+            // warning reports all of them.
             let mut missing = Vec::new();
             for face in self.package.integers(&subset.faces, &subset.place)? {
                 match usize::try_from(face).ok().and_then(|face| slots.get_mut(face)) {

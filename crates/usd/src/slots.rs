@@ -366,8 +366,8 @@ impl<'a> Builder<'_, 'a> {
             (material.attenuation_color, material.attenuation_distance) = (color, depth);
             tint = Vec3::ONE;
         }
-        // The base colour of the scene's material tints diffuse and transmitted light alike. So it
-        // becomes a mix of the shader's diffuse colour and of its transmission colour.
+        // The base colour of the scene's material tints diffuse and transmitted light alike. So the
+        // base colour becomes a mix of the shader's diffuse colour and of its transmission colour.
         let base = material.base_color.truncate().lerp(tint, factor.clamp(0.0, 1.0));
         material.base_color = base.extend(material.base_color.w);
         if factor >= 1.0 {

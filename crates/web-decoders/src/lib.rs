@@ -21,7 +21,7 @@ mod shell;
 #[cfg(all(target_arch = "wasm32", feature = "pictures"))]
 mod small;
 
-/// Geometry for a light field whose files do not state it, and the largest width of its views.
+/// Geometry for light fields whose files state none, and the largest width of a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
     /// Width of the light field's rectangle on the display plane, mm.

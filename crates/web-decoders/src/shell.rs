@@ -23,8 +23,8 @@ pub struct Field {
 }
 
 /// Reads a light field from the files that [`hold`] received. `width_mm`, `fov_x_deg` and
-/// `fov_y_deg` are used if its files do not state the geometry. Views with more than `cols` columns
-/// are reduced to `cols` columns.
+/// `fov_y_deg` are used if these files do not state the geometry. Views with more than `cols`
+/// columns are reduced to `cols` columns.
 #[wasm_bindgen]
 pub fn field(path: &str, width_mm: f64, fov_x_deg: f64, fov_y_deg: f64, cols: usize) -> Result<Field, JsError> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());

@@ -20,7 +20,7 @@ const MOST_PICTURES: u64 = 512 << 20;
 #[derive(Clone, Debug, Default)]
 pub struct Files(BTreeMap<String, Vec<u8>>);
 
-/// Finds files by names that a file in `folder` contains, relative to this folder.
+/// Finds the files to which a file in `folder` refers by paths relative to this folder.
 struct Beside<'a> {
     files: &'a Files,
     folder: &'a str,

@@ -199,7 +199,7 @@ mod tests {
         assert_eq!(presets().unwrap(), expected, "{remedy}");
     }
 
-    /// Names of files may have accents as characters of their own, as on macOS.
+    /// A file name may contain accents as separate combining characters, as on macOS.
     #[test]
     fn a_job_names_any_file() {
         let name = "Cafe\u{301} \"1\" \\ ก็.glb";

@@ -200,7 +200,7 @@ impl Views {
     /// Keeps the values of a view that another thread traced.
     ///
     /// # Errors
-    /// If there is no such view, or it has another number of values.
+    /// If there is no such view, or `values` is not as long as the values of the view.
     pub(crate) fn keep_values(&mut self, number: usize, values: Vec<f32>) -> Result<(), Error> {
         let found = values.len();
         let mut split = Tensor::zeros(
@@ -214,7 +214,7 @@ impl Views {
                 *place = SplitView::from_values(split).map(|split| split.to_bytes());
                 Ok(())
             }
-            _ => Err(Error::value("view", "the values of a view", found)),
+            _ => Err(Error::value("view", "an existing view with all its values", format!("{found} values"))),
         }
     }
 

@@ -258,7 +258,7 @@ impl Work {
     /// [`lumistack_pathtracer::SplitView`].
     ///
     /// # Errors
-    /// If the scene is not placed yet, or there is no such view.
+    /// If the display is not placed in the scene yet, or there is no such view.
     pub fn trace(&mut self, number: usize) -> Result<Vec<f32>, Error> {
         let task = Task::quiet(&self.warnings, &self.cancel);
         Ok(views(&mut self.views)?.trace_whole(number, task)?.values().data().to_vec())
@@ -267,7 +267,8 @@ impl Work {
     /// Takes the values of a view that another thread traced, and does not trace the view itself.
     ///
     /// # Errors
-    /// If the scene is not placed yet, there is no such view, or it has another number of values.
+    /// If the display is not placed in the scene yet, there is no such view, or `values` is not as
+    /// long as the values of the view.
     pub fn take(&mut self, number: usize, values: Vec<f32>) -> Result<(), Error> {
         let views = views(&mut self.views)?;
         views.keep_values(number, values)?;
@@ -427,7 +428,7 @@ impl Work {
 }
 
 fn views(views: &mut Option<Views>) -> Result<&mut Views, Error> {
-    views.as_mut().ok_or_else(|| Error("the scene is not loaded yet".into()))
+    views.as_mut().ok_or_else(|| Error("the display is not placed in the scene yet".into()))
 }
 
 /// Plans the pieces after a light field is read: a single solve. Its patterns are shown after each
@@ -445,9 +446,9 @@ fn plan_field(iterations: u32) -> VecDeque<Piece> {
     pieces
 }
 
-/// Plans the pieces after the scene is placed. The first pieces render noisy views of a few
-/// directions, coarse unless the scene has splats. Then noisy views of all directions follow, then
-/// views with all their samples, and the last solve.
+/// Plans the pieces after the display is placed in the scene. The first pieces render noisy views
+/// of a few directions, coarse unless the scene has splats. Then noisy views of all directions
+/// follow, then views with all their samples, and the last solve.
 fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
     let (first, all) = (Picked::some(views.grid(), FIRST), Picked::all(views.grid()));
     let mut pieces = VecDeque::new();

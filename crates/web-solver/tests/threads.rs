@@ -89,22 +89,22 @@ fn wrong_views_are_refused() {
     };
     let mut early = work("letters", "letters.gltf");
     assert!(early.give().is_none() && early.trace(0).is_err());
-    refused(&mut early, 0, Vec::new(), "the scene is not loaded yet");
+    refused(&mut early, 0, Vec::new(), "the display is not placed in the scene yet");
     let mut work = placed();
     let view = work.give().unwrap();
     let mut values = work.trace(view).unwrap();
-    refused(&mut work, 1000, values.clone(), "view: expected the values of a view, found 17000");
+    refused(&mut work, 1000, values.clone(), "view: expected an existing view with all its values, found 17000 values");
     values.pop();
-    refused(&mut work, view, values, "view: expected the values of a view, found 16999");
+    refused(&mut work, view, values, "view: expected an existing view with all its values, found 16999 values");
     assert!(work.trace(1000).is_err());
     // other settings have other views
     let values = work.trace(view).unwrap();
     work.change(Settings::from_json(r#"{"cols": 32, "frames": 2}"#).unwrap()).unwrap();
-    refused(&mut work, view, values.clone(), "the scene is not loaded yet");
+    refused(&mut work, view, values.clone(), "the display is not placed in the scene yet");
     while work.stage() == Stage::Scene {
         work.advance().unwrap();
     }
-    refused(&mut work, view, values, "view: expected the values of a view, found 17000");
+    refused(&mut work, view, values, "view: expected an existing view with all its values, found 17000 values");
 }
 
 #[test]

@@ -65,7 +65,7 @@ impl Model {
         &self.preview
     }
 
-    /// Returns the light field for which the patterns were made.
+    /// Returns the pixels and views of the light field for which the patterns were made.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }
@@ -75,8 +75,8 @@ impl Model {
         &self.options
     }
 
-    /// Adds the bytes of file `index`. Returns the part of the preview that the file contains. If
-    /// all files of the part's frame are present, it also returns the frame's slice.
+    /// Adds the bytes of file `index`. Returns the part of the preview that the file contains. Also
+    /// returns the slice of the part's frame, if all files of this frame are present.
     ///
     /// # Errors
     /// If there is no such file or it is damaged; the model stays unchanged.
@@ -352,9 +352,9 @@ impl Model {
     }
 
     /// Returns the error map at a slope, compared with the target's view L nearest to the slope.
-    /// The error of a pixel is the largest channel of |gain · L̃ − L|. A pixel is black if the
-    /// display drops the rays of more than half of its area, since they miss a layer. With a pupil,
-    /// a pixel is black if the display drops any of its rays.
+    /// The error of a pixel is the largest channel of |gain · L̃ − L|. If the display drops rays
+    /// that miss a layer, a pixel is black if the rays of more than half of its area are dropped.
+    /// With a pupil, a pixel is black if any of its rays is dropped.
     ///
     /// # Errors
     /// If the view has not arrived.
@@ -373,8 +373,7 @@ impl Model {
     }
 
     /// Returns the PSNR of L̃/β against the target's view nearest to a slope, dB. `None` if this
-    /// view has not arrived, no frame is complete, or the display drops all rays, since they miss a
-    /// layer.
+    /// view has not arrived, if no frame is complete, or if the display drops all rays of the view.
     pub fn psnr(&self, slope: [f64; 2]) -> Option<f64> {
         let view = self.nearest_view(slope);
         let target: Vec<f32> = self.target(view).ok()?.iter().map(|code| DECODED[usize::from(*code)]).collect();

@@ -173,7 +173,7 @@ impl Preview {
             return Err(err(format!("preview.json: schema: expected {:?}, found {schema:?}", Self::SCHEMA)));
         }
         if version != Self::VERSION {
-            let advice = "another version of Lumistack made the preview: write the preview again";
+            let advice = "another version of Lumistack wrote this preview; write it again";
             return Err(err(format!("preview.json: version: expected {}, found {version} ({advice})", Self::VERSION)));
         }
         let preview: Self = json::parse(text).map_err(malformed)?;
@@ -253,7 +253,7 @@ impl Preview {
     /// Returns the light field's pixels and views.
     ///
     /// # Errors
-    /// If they are invalid.
+    /// If the pixels or the views are invalid.
     pub fn geometry(&self) -> Result<FieldGeometry, Error> {
         let target = &self.target;
         let projection = match (target.projection.as_str(), target.distance_mm) {

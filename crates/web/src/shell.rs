@@ -19,7 +19,7 @@ type Thrown<T> = Result<T, JsValue>;
 
 /// Returns the error of a call of `draw` without a context.
 fn detached() -> Error {
-    err("the viewer has no graphics context: attach a context before drawing")
+    err("the viewer has no graphics context; call `attach` before `draw`")
 }
 
 fn clamped(bytes: &[u8]) -> Uint8ClampedArray {
@@ -129,8 +129,8 @@ impl Viewer {
         self.gpu = None;
     }
 
-    /// Draws the view from a slope with the context of [`Self::attach`]. Its canvas has one pixel
-    /// for each pixel of the light field.
+    /// Draws the view from a slope with the context of [`Self::attach`]. The context's canvas has
+    /// one pixel for each pixel of the light field.
     pub fn draw(&self, sx: f64, sy: f64) -> Thrown<()> {
         Ok(self.gpu.as_ref().ok_or_else(detached)?.draw(&self.model, [sx, sy])?)
     }

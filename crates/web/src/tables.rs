@@ -32,7 +32,8 @@ use crate::Pupil;
 pub struct Tables {
     /// Points of the pupil along each axis.
     pub places: usize,
-    /// True for every point `[y][x]` of the pupil's grid, row by row, that lies on its disc.
+    /// True for every point `[y][x]` of the pupil's grid, row by row, that lies on the pupil's
+    /// disc.
     pub on_disc: Vec<bool>,
     /// Largest number of parts of a pixel along x, and along y.
     pub parts: [usize; 2],

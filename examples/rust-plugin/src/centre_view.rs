@@ -29,7 +29,8 @@ impl NodePlugin for CentreView {
         for (values, layer) in stack.layers.iter_mut().zip(&display.layers) {
             values.data_mut().fill(layer.range()[1]);
         }
-        // The display emits β times the view, where β is the light that open layers transmit.
+        // The display emits β times the view. Here β is the fraction of light that open layers
+        // transmit.
         stack.brightness = display.layers.iter().map(|layer| layer.peak).product();
         let [views_y, views_x] = field.geometry().grid.views();
         let view = field.view([views_y / 2, views_x / 2])?.to_vec();

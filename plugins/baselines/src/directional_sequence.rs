@@ -43,12 +43,12 @@ impl NodePlugin for DirectionalSequence {
         let [bins_x, bins_y] = lenslets.views;
         let (frames, directions) = (display.frames, bins_x * bins_y);
         if frames > directions {
-            let expected = format!("no more frames than the backlight has directions, {directions}");
+            let expected = format!("at most {directions} frames, one per direction of the backlight");
             return Err(PluginError::display(display, expected, frames));
         }
         if frames < directions {
             host.warn(&format!(
-                "expected {directions} frames, one per direction, found {frames}: several directions show the same picture; set display.frames to {directions}"
+                "expected {directions} frames, one per direction, found {frames}, so that several directions show the same picture; set display.frames to {directions}"
             ));
         }
         // Light each direction in its frame, and open all layers to their brightest state.

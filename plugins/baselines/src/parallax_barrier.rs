@@ -15,9 +15,9 @@
 //! that the period is at least the number of views. Then rays of different views through one slit
 //! hit different rear pixels, and the display shows every ray through an open mask pixel exactly.
 //! With M = P frames every mask pixel is open in exactly one frame, so the display emits β times
-//! the target along every ray. The scale β is the front layer's largest transmittance, divided by
-//! P. With fewer frames some mask pixels are never open. The display then emits β times the target
-//! only in the mean over a period.
+//! the target along every ray. The brightness β is the product of both layers' largest
+//! transmittances, divided by P. With fewer frames some mask pixels are never open. The display
+//! then emits β times the target only in the mean over a period.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
@@ -66,14 +66,14 @@ impl NodePlugin for ParallaxBarrier {
         let period = [or(params.period_y, views_y), or(params.period_x, views_x)];
         if period[1] < views_x || period[0] < views_y {
             host.warn(&format!(
-                "period_x, period_y: expected at least {views_x} × {views_y} mask pixels, one per view, found {} × {}: several views share a pixel of the rear layer",
+                "period_x, period_y: expected at least {views_x} × {views_y} mask pixels, one per view, found {} × {}, so that several views share a pixel of the rear layer",
                 period[1], period[0]
             ));
         }
         let positions = period[0] * period[1];
         if display.frames < positions {
             host.warn(&format!(
-                "frames: expected {positions}, one for each position of the slits, found {}: the picture shows gaps between the slits. Set `frames = {positions}`, \
+                "frames: expected {positions}, one for each position of the slits, found {}, so that the picture shows gaps between the slits. Set `frames = {positions}`, \
                  or reduce `views`, or period_x and period_y",
                 display.frames
             ));

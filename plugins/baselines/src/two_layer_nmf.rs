@@ -3,13 +3,13 @@
 //!
 //! The light field of two layers is a matrix L. It has a row for each rear pixel and a column for
 //! each front pixel. An entry of L is known if a ray hits its rear pixel and its front pixel. A
-//! display with M frames emits the matrix F Gᵀ of rank M. Column m of F is the rear mask of frame
-//! m, and column m of G is the front mask. F and G start from random values. In each iteration, the
-//! weighted multiplicative rule (Blondel et al. 2008) updates F, then G. W is 1 for known entries
-//! and 0 for all others, and ⊛ multiplies element by element:
+//! display with M frames emits the matrix F Gᵀ / M, of rank at most M. Column m of F is the rear
+//! mask of frame m, and column m of G is the front mask. F and G start from random values. In each
+//! iteration, the weighted multiplicative rule (Blondel et al. 2008) updates F, then G. W is 1 for
+//! known entries and 0 for all others. Here ⊛ and the fraction work element by element:
 //!
 //! ```text
-//! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ F Gᵀ) G], G likewise, clamped to 0..1
+//! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ (F Gᵀ / M)) G], G likewise, clamped to 0..1
 //! ```
 //!
 //! This is eq. (16) of the paper "Tensor Displays" for N = 2. The plugin always uses this rule, not

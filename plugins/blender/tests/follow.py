@@ -104,7 +104,7 @@ def case_live(folder, zip_path):
         return True
 
     session = begin()
-    # Without windows in this package, a new display has only the page.
+    # If the package cannot open windows, a new display has only the page.
     shown = [item.identifier for item in scene.lumistack.bl_rna.properties["live_show"].enum_items]
     assert shown == ["PAGE", *(["OUTPUTS", "SPAN", "WINDOW"] if lumistack.HAS_PANELS else [])], shown
     for choice in shown:

@@ -397,7 +397,9 @@ def case_handover(folder, zip_path):
     print("note:", " | ".join(said.split("\n"))[:600])
     assert "is missing" not in said, said
     assert "camera" in said and "rot" in said and "environment: yes" in said and "engine: CYCLES" in said, said
-    # A cube with 2 levels of subdivision has 6 · 16 quads; the viewport's level, 0, has no effect.
+    # `shapes` is the number of triangles of the sphere, the cube, the cone and the torus. The
+    # linked cube adds 6 · 16 quads: 2 levels of subdivision, since the viewport's level, 0, has no
+    # effect.
     shapes = 48 * 22 * 2 + 96 + 12 + 78 + 48 * 12 * 2
     print("note:", [line for line in said.split("\n") if "triangles" in line], shapes)
     said = lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")

@@ -91,7 +91,8 @@ def add(kind, look, **where):
 
 
 def camera(name="camera", focus=4.0, orthographic=False):
-    """Adds a camera at the left and above. It looks along +y and is slightly rotated about its axis."""
+    """Adds a camera at the left and above, which looks roughly along +y. It is slightly rotated
+    about its optical axis."""
     data = bpy.data.cameras.new(name)
     data.dof.use_dof = True
     data.dof.focus_distance = focus

@@ -7,7 +7,8 @@ use lumistack_plugin::encoding::{Dither, codes8, codes16, panel_codes};
 /// Settings for the codes of a panel.
 #[derive(Clone, Copy)]
 pub(crate) struct PanelCodes {
-    /// Bits per channel of the panel; `None` if unknown. A file with fewer bits limits them.
+    /// Bits per channel of the panel; `None` if unknown. A file with fewer bits per channel limits
+    /// this number.
     pub(crate) bits: Option<u32>,
     pub(crate) dither: Dither,
     /// A number that is different for every layer and frame. It shifts the threshold map, so that

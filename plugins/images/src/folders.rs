@@ -181,7 +181,8 @@ impl Cameras<'_> {
     }
 }
 
-/// Writes the folder of an archive: all views and the other files.
+/// Writes the folder of an archive: all views and the other files. Returns the path of every
+/// view's picture, with the view [view_y, view_x].
 pub(crate) fn write(
     host: &Host,
     archive: Archive,

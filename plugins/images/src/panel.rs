@@ -6,9 +6,9 @@ use lumistack_plugin::{Host, PluginError, StackInput};
 
 use crate::ImagesParams;
 
-/// Returns the backlight and its panel behind lenses. Sizes, pitches and focal length in the
-/// parameters, if they are not 0, replace the values of the display file. The offset is added to
-/// the file's offset. The rotation is that of the parameter, even if it is 0.
+/// Returns the backlight and its panel behind lenses. Parameters other than 0 replace the panel
+/// size, pitches and focal length of the display file. The offset parameter is added to the file's
+/// offset. The rotation parameter replaces the file's rotation, even if the parameter is 0.
 ///
 /// # Errors
 /// If the backlight has no lenslets.

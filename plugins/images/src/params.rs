@@ -241,8 +241,7 @@ impl ImagesParams {
     /// If no output is requested, or `lenslet_panel` is set without a format of pictures.
     pub(crate) fn check(&self) -> Result<(), PluginError> {
         if !self.atlas && !self.writes_views() {
-            let text =
-                "parameters: expected at least one output, such as `png8`, found none: there is nothing to write";
+            let text = "parameters: expected at least one output, such as `png8`, found none";
             return Err(PluginError::Refused(text.into()));
         }
         if self.lenslet_panel && !self.writes_pictures() {

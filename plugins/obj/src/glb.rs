@@ -101,7 +101,8 @@ fn primitive(arrays: &mut Arrays, mesh: &Mesh, materials: &[MtlMaterial], white:
         let downwards: Vec<f32> = mesh.texcoords.chunks_exact(2).flat_map(|uv| [uv[0], 1.0 - uv[1]]).collect();
         attributes["TEXCOORD_0"] = arrays.floats(&downwards, "VEC2", 2).into();
     }
-    // Scans may have a texture and the same colours at the vertices, which would be multiplied.
+    // A scan may have a texture, and the same colours at its vertices. glTF multiplies the two, so
+    // vertex colours beside a texture are left out.
     let has_picture = mesh.material_id.and_then(|id| materials.get(id)).is_some_and(|one| one.diffuse_map.is_some());
     if mesh.vertex_color.len() == mesh.positions.len() && !has_picture {
         let linear: Vec<f32> =

@@ -141,7 +141,7 @@ fn legal_files_of_other_programs_load() {
     assert_eq!(scene.triangle_count(), 2);
     assert_eq!(scene.materials[0].base_color.to_array(), [0.5, 0.5, 0.5, 1.0]);
     // The map's scale and offset must move the corner (0.5, 0) to (2 · 0.5 + 0.25, 3 · 0 + 0.5).
-    // Since v points downwards in glTF, it becomes 1 − 0.5.
+    // Since v points downwards in glTF, the second coordinate becomes 1 − 0.5.
     let texture = scene.materials[1].base_color_texture.expect("a picture");
     let mesh = scene.meshes.iter().find(|mesh| mesh.material == 1).unwrap();
     let corner = mesh.positions.iter().position(|position| position.to_array() == [0.0; 3]).unwrap();

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use crate::Shows;
 
-/// An output of the computer, which drives a monitor or a panel behind an adapter.
+/// An output of the computer. The output drives a monitor, or a panel through an adapter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Output {
     /// The output's name, which is the same in every session.
@@ -23,7 +23,7 @@ pub struct Output {
 pub enum AssignError {
     /// There are no outputs.
     #[error(
-        "outputs: expected {needed}, one for each of {wanted}; found none: check that a monitor is on and that this session has a screen"
+        "outputs: expected {needed}, one for each of {wanted}; found none. Check that a monitor is on, and that this session has a screen"
     )]
     None {
         /// Number of outputs required.
@@ -80,7 +80,7 @@ pub fn named(display: &Display, shows: Shows) -> Option<&str> {
 }
 
 /// Assigns an output to every panel, rear to front. Panels without a named output take the free
-/// outputs from left to right, then top to bottom, then by name.
+/// outputs, sorted by x, then by y, then by name.
 ///
 /// # Errors
 /// If there are too few outputs, or the display file names an output that is not present, or names
@@ -132,8 +132,8 @@ pub enum Change {
     Other(Output),
 }
 
-/// Compares the output `was` with the output of the same name in `now`. Returns `None` if it is
-/// unchanged. Positions are compared only if `placed` is true.
+/// Compares the output `was` with the output of the same name in `now`. Returns `None` if size and
+/// position are unchanged. Positions are compared only if `placed` is true.
 pub fn change(was: &Output, now: &[Output], placed: bool) -> Option<Change> {
     let Some(is) = now.iter().find(|output| output.name == was.name) else { return Some(Change::Gone) };
     let same = is.size == was.size && (!placed || is.position == was.position);

@@ -1,16 +1,17 @@
 //! Compares mask sizes with panel sizes, and scales masks to panels of other sizes.
 //!
-//! A mask has W pixels of pitch p. The upright picture of its panel has w pixels of pitch s. So the
-//! mask covers W·p / s panel pixels. All masks fit if all panels are assumed to have the pitch
+//! Along an axis a mask has W pixels of pitch p, and its panel, turned upright, has w pixels. If
+//! the panel's pixels have the pitch s, the mask covers W·p / s panel pixels. All masks fit if all
+//! panels are assumed to have the pitch
 //!
 //! ```text
 //! s = max over panels and axes of W·p / w
 //! ```
 //!
-//! Then s is raised until a pixel of the finest mask covers a whole number of panel pixels, if it
-//! covers at least one. The pitch s differs from the panels' real pitches, so the scene appears
-//! scaled. The parallax would be right only if the distances between the panels were scaled by the
-//! same ratio.
+//! If a pixel of the finest mask covers at least one panel pixel, s is then raised until the mask
+//! pixel covers a whole number of panel pixels. On panels of the real pitch r, the scene appears
+//! scaled by r / s. The parallax is right only if the distances between the panels are also scaled
+//! by r / s.
 
 use lumistack_plugin::display::{Backlight, Display};
 
@@ -18,7 +19,7 @@ use crate::assign::Output;
 use crate::{Place, Shows};
 
 /// Returns [columns, rows] of panel pixels that the mask covers. Also returns [columns, rows] of
-/// the panel's upright picture, or of its crop.
+/// the panel after it is turned upright; with a crop, of the cropped region.
 pub fn cover(display: &Display, shows: Shows, output: [usize; 2]) -> ([f64; 2], [f64; 2]) {
     let place = Place::new(display, shows, output);
     let ([cols, rows], pitch_mm) = match (shows, &display.backlight) {
@@ -46,24 +47,27 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
                 size[0], size[1], declared[0], declared[1]
             ));
         }
-        // The mask should neither exceed the panel nor cover less than half of it.
+        // Warn if the mask exceeds the panel on an axis, or covers less than half of the panel on
+        // both axes.
         let (covers, there) = cover(display, *shows, *size);
         let text = format!(
             "{shows} covers {:.0} × {:.0} pixels, and output {name} has {} × {} pixels",
             covers[0], covers[1], there[0], there[1]
         );
-        // An excess of less than a pixel comes from rounding. The outer lenses of an array may be
-        // cut off.
+        // Allow an excess of one panel pixel, which comes from rounding. For a lens array allow an
+        // excess of one lens, since the outer lenses may be cut off.
         let slack = match (shows, &display.backlight) {
             (Shows::Backlight, Backlight::Lenslets(backlight)) => covers[0] / backlight.lenslets[0].max(1) as f64,
             _ => 1.0,
         };
         if (0..2).any(|axis| covers[axis] > there[axis] + slack) {
             found.push(format!(
-                "{text}: the rest is not shown (check panel_pitch_mm, the size of a panel's pixels; --fit shows all)"
+                "{text}, so a part of the mask is not shown. Check panel_pitch_mm, the pitch of the panel's pixels; or use --fit, which scales the masks until all of them fit"
             ));
         } else if (0..2).all(|axis| covers[axis] < 0.5 * there[axis]) {
-            found.push(format!("{text} (check panel_pitch_mm, the size of a panel's pixels; --fit fills the panels)"));
+            found.push(format!(
+                "{text}. Check panel_pitch_mm, the pitch of the panel's pixels; or use --fit, which enlarges the masks"
+            ));
         }
     }
     // All outputs should have the same refresh rate, within 1 %.
@@ -72,7 +76,7 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
     let fastest = rates.max_by(|a, b| a.0.total_cmp(&b.0));
     if let Some((slow, fast)) = slowest.zip(fastest).filter(|(slow, fast)| fast.0 > 1.01 * slow.0) {
         found.push(format!(
-            "output {} refreshes at {:.2} Hz and output {} at {:.2} Hz: all panels show new frames at the slower rate, and frame durations on the faster output vary",
+            "output {} refreshes at {:.2} Hz and output {} at {:.2} Hz. All panels show new frames at the slower rate, so frame durations on the faster output vary",
             slow.1, slow.0, fast.1, fast.0
         ));
     }
@@ -144,7 +148,7 @@ mod tests {
         let outputs = outputs(&[[40, 30]]);
         let found = misfits(&display, &outputs);
         assert!(
-            found[0].starts_with("layer 0 covers 100 × 60 pixels, and output O0 has 40 × 30 pixels: the rest"),
+            found[0].starts_with("layer 0 covers 100 × 60 pixels, and output O0 has 40 × 30 pixels, so a part"),
             "{found:?}"
         );
         let (display, pitch_mm) = fitted(&display, &outputs);
@@ -170,7 +174,7 @@ mod tests {
         let found = misfits(&display, &outputs);
         assert_eq!(found.len(), 3, "{found:?}");
         assert!(
-            found[0].starts_with("layer 0 covers 30 × 20 pixels, and output O0 has 100 × 80 pixels ("),
+            found[0].starts_with("layer 0 covers 30 × 20 pixels, and output O0 has 100 × 80 pixels. Check"),
             "{found:?}"
         );
         assert!(
@@ -186,8 +190,8 @@ mod tests {
         let mut outputs = outputs(&[[100, 90], [100, 90]]);
         (outputs[0].0, outputs[1].0) = (Shows::Backlight, Shows::Layer(0));
         let (display, pitch_mm) = fitted(&display, &outputs);
-        // 42 mm on 100 pixels need a pitch of 0.42 mm. The pitch is raised to 0.5 mm, which gives
-        // two panel pixels per mask pixel.
+        // The 21 lenslets are 42 mm wide, so 100 panel pixels need a pitch of 0.42 mm. The pitch is
+        // raised to 0.5 mm, with which a mask pixel of 1 mm covers two panel pixels.
         assert_eq!(pitch_mm, 0.5);
         let Backlight::Lenslets(backlight) = &display.backlight else { unreachable!() };
         assert_eq!(

@@ -1,5 +1,5 @@
-//! Writes calibration into the text of a display file. Values change, and missing keys are added;
-//! comments and layout of the text stay.
+//! Writes the calibration of panels into the text of a display file. Values change, and missing
+//! keys are added; comments and layout of the text stay.
 
 use lumistack_plugin::display::{Backlight, Display, Panel};
 use thiserror::Error;

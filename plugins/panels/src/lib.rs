@@ -7,14 +7,14 @@
 //!                                                                        frame per refresh)
 //! ```
 //!
-//! The codes of [`Picture`] depend only on the display, the output, the stack, the frame and the
-//! colour. Windows and the GPU (`window::present`) need the feature `window`; without it this crate
-//! does not depend on winit and wgpu.
+//! A period is one cycle through all frames. The codes of [`Picture`] depend only on the display,
+//! the output, the stack, the frame and the colour. Windows and the GPU (`window::present`) need
+//! the feature `window`. Without this feature the crate does not depend on winit and wgpu.
 //!
 //! The output plugin `panels` is a presenter, which `lumistack show` runs. Layer stacks can be
-//! submitted while it runs. Commands and events are the JSON of [`presentation`]. In a build
-//! without the feature `window`, the plugin's `run` returns an error. Calibration from photographs
-//! ([`calibrate`]) needs no windows, and the plugin does not use it.
+//! submitted while the plugin runs. Commands and events are the JSON of [`presentation`]. In a
+//! build without the feature `window`, the plugin's `run` returns an error. Calibration from
+//! photographs ([`calibrate`]) needs no windows, and the plugin does not use this module.
 
 pub mod assign;
 pub mod calibrate;

@@ -9,8 +9,8 @@
 //! q = e + (P − e) · (D − d) / D        so        P = e + (q − e) · D / (D − d)
 //! ```
 //!
-//! Crosses of different layers absorb different colours, so crosses of three layers that coincide
-//! are black.
+//! The crosses of neighbouring layers transmit different ones of red, green and blue. So where
+//! crosses of different colours coincide on attenuating layers, they are black.
 
 use std::str::FromStr;
 
@@ -354,8 +354,8 @@ mod tests {
                     // the display plane
                     let t = (display.layers[n].d_mm - eye[2]) / (target[2] - eye[2]);
                     let mm = [0, 1].map(|axis| eye[axis] + t * (target[axis] - eye[axis]));
-                    // Arms are 12 pixels long, so a window that reaches 8 pixels contains only
-                    // lines, not their ends. The centre of mass of these lines must be the window's
+                    // Arms are 12 pixels long, so a window of 8 pixels around the centre contains
+                    // no ends of lines. The centre of mass of the lines must be the window's
                     // centre, up to rounding.
                     let found = centre(&codes, 0.25, mm, 8, 1);
                     assert!(found[0].abs() < 0.35 && found[1].abs() < 0.35, "layer {n}, {i} {j}: {found:?}");

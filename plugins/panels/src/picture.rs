@@ -144,7 +144,7 @@ impl Picture {
         self.encoder.codes(rgb)
     }
 
-    /// Returns the panel that the output shows.
+    /// Returns the panel that the output drives.
     pub fn shows(&self) -> Shows {
         self.shows
     }

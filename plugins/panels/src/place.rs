@@ -1,5 +1,6 @@
-//! The geometry of a panel, which maps output pixels to millimetres on the layer. The file of
-//! `lumistack_display::Panel` has the equations.
+//! The geometry of a panel, which maps output pixels to millimetres on the layer. The source file
+//! of `lumistack_display::Panel` has the equations. The output shows the upright picture after it
+//! has been mirrored and then rotated.
 
 use lumistack_plugin::display::{Backlight, Display, Flip, Homography, Panel};
 

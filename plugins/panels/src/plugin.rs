@@ -61,7 +61,7 @@ pub struct PanelsParams {
 
 impl OutputPlugin for Panels {
     const DOC: &'static str = "Shows every layer on its own panel, or a preview of the display in a window, until the user closes the presentation. \
-        Panels show one frame per refresh. `lumistack show` runs this plugin, in builds with windows.";
+        Panels show one frame per refresh. `lumistack show` runs this plugin, in builds that can open windows.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     const PRESENTS: bool = true;
     type Params = PanelsParams;
@@ -84,13 +84,13 @@ impl OutputPlugin for Panels {
             Param::bool(
                 "fit",
                 false,
-                "Scale masks until they fill the panels. The layers' distances then no longer fit the masks.",
+                "Scale all masks by the same factor, so that they fit the panels. For correct parallax, scale the distances between the layers, too.",
             ),
             Param::int("hold", -1, -1..=1 << 20, "Frame to hold; -1 shows all frames one after another.").unit("1"),
             Param::float("duration_s", 0.0, 0.0..=1e9, "Duration of the presentation; 0 for a presentation that runs until the user closes it.").unit("s"),
-            Param::float("from_x_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis in the window, positive to the right.")
+            Param::float("from_x_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis, positive to the right; only with the mode `window`.")
                 .unit("degrees"),
-            Param::float("from_y_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis in the window, positive upwards.").unit("degrees"),
+            Param::float("from_y_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis, positive upwards; only with the mode `window`.").unit("degrees"),
             Param::text("pattern", "", &format!("Test pattern shown in place of the layer stack: {PATTERNS}.")),
             Param::text(
                 "only",
@@ -209,7 +209,7 @@ fn refused(name: &str, expected: impl std::fmt::Display, found: impl std::fmt::D
 }
 
 /// Returns the content that the parameters select: a test pattern or a picture. Submitted stacks do
-/// not replace it. `None` if the parameters select none.
+/// not replace this content. Returns `None` if the parameters select neither.
 fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, PluginError> {
     if !params.pattern.is_empty() {
         let pattern = params.pattern.parse::<Pattern>().map_err(|error| PluginError::Refused(error.to_string()))?;

@@ -1,4 +1,5 @@
-//! A presentation: its content, its commands and its events.
+//! A presentation: its content, its commands and its events. A period is one cycle through all
+//! frames, and in a colour sequence through all colours of each frame.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -66,7 +67,7 @@ pub enum Content {
 pub enum Mode {
     /// One surface per output.
     Outputs,
-    /// One surface across all outputs, so that all outputs flip together.
+    /// One surface across all outputs, so that all outputs change their frames together.
     Span,
     /// One ordinary window.
     Window,
@@ -77,8 +78,8 @@ pub enum Mode {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "snake_case")]
 pub enum Command {
-    /// A new layer stack, which replaces the old one between periods. Plugin hosts submit it as
-    /// data, so it has no JSON.
+    /// A new layer stack, which replaces the old stack between two periods. Plugin hosts submit the
+    /// stack as data, so this command has no JSON.
     #[serde(skip)]
     Stack(LayerStack),
     /// Show only this frame.
@@ -127,7 +128,7 @@ pub enum Event {
         /// Number of the first refresh that shows the new frames.
         refresh: u64,
     },
-    /// A warning for the user. Plugin hosts log it, so it has no JSON.
+    /// A warning for the user. Plugin hosts log warnings, so this event has no JSON.
     #[serde(skip)]
     Warning(String),
     /// The user has shifted a panel, or has selected another panel for shifts.
@@ -175,11 +176,11 @@ pub struct Report {
     /// Statistics from the platform's presentation times, per surface. Empty if the platform
     /// reports none.
     pub presented: BTreeMap<String, Tally>,
-    /// Mean time between the first and the last output of a refresh, seconds, from the platform's
-    /// presentation times. `None` if there are no such times, or only one surface.
+    /// Mean skew, seconds: the time from the presentation of a refresh on the first output to its
+    /// presentation on the last output. `None` without the platform's presentation times, and with
+    /// only one surface.
     pub skew_mean_s: Option<f64>,
-    /// Largest time between the first and the last output of a refresh, seconds. `None` in the same
-    /// cases as for the mean.
+    /// Largest skew of a refresh, seconds. `None` in the same cases as the mean skew.
     pub skew_largest_s: Option<f64>,
     /// (refresh number, position in the period, number of the frame set, seconds) of every refresh,
     /// if requested. A new layer stack makes a new frame set, and so does any other change of the

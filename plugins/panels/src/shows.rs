@@ -16,7 +16,7 @@ pub enum Shows {
     Layer(usize),
 }
 
-/// A text that is not a panel.
+/// A text that names no panel.
 #[derive(Debug, Error)]
 #[error("expected the number of a layer or the word `backlight`, found `{0}`")]
 pub struct ShowsError(String);

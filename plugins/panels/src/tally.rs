@@ -53,7 +53,8 @@ impl Tally {
     }
 }
 
-/// Statistics of the skew: the time between the first and the last output that present one refresh.
+/// Statistics of the skew. The skew of a refresh is the time from its presentation on the first
+/// output to its presentation on the last output.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Skew {
     outputs: usize,

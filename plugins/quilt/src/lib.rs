@@ -199,7 +199,7 @@ impl OutputPlugin for Quilt {
         }
         let calibration = read_calibration(&params.calibration)?;
         if calibration.is_none() && !params.write_quilt {
-            let text = "parameter `write_quilt` is false and there is no `calibration`: there is nothing to write";
+            let text = "parameter `write_quilt`: expected true, or a `calibration` for the native picture, found false without a `calibration`";
             return Err(PluginError::Refused(text.into()));
         }
         let device = devices().iter().find(|device| device.id == params.device);
@@ -251,7 +251,7 @@ impl Quilt {
         let black = black_share(size, layout.aspect, params.fit);
         if black >= LEAST_BLACK {
             self.host.warn(&format!(
-                "{:.0} % of the quilt is black: the views' aspect is {:.3}, the display's {:.3}; render views of the display's aspect (for example {} × {} \
+                "{:.0} % of the quilt is black, since the views have the aspect {:.3}, but the display has the aspect {:.3}. Render views of the display's aspect (for example {} × {} \
                  pixels), or set fit = \"cover\" to crop the views",
                 100.0 * black,
                 size[0] as f64 / size[1] as f64,

@@ -61,8 +61,8 @@ pub fn places(count: usize, available: usize) -> Vec<f64> {
     (0..count).map(|i| (i as f64 + 0.5) / count as f64 * available as f64 - 0.5).collect()
 }
 
-/// Returns which of `rows` rows of views is used. It is row `given`. If `given` is negative, it is
-/// the central row, or the upper one of two central rows.
+/// Returns the index of the row of views to use; there are `rows` rows. The result is `given`, or
+/// the central row if `given` is negative. Of two central rows, it is the upper row.
 ///
 /// # Errors
 /// If there is no such row.
@@ -86,7 +86,7 @@ impl Source<'_> {
         }
     }
 
-    /// Returns which row of views is used; see [`row_of`].
+    /// Returns the index of the row of views to use; see [`row_of`].
     ///
     /// # Errors
     /// If there is no such row.
@@ -142,11 +142,11 @@ impl Source<'_> {
 }
 
 /// Returns a warning with advice if a light field of `available` views per row has no view at a
-/// position of a quilt with `count` views. For example, a quilt with three views only has positions
-/// of a light field's nine views.
+/// position of a quilt with `count` views. Returns `None` otherwise, for example for nine views per
+/// row and a quilt of three views.
 ///
 /// # Errors
-/// Under [`Missing::Refuse`] in this case.
+/// Under [`Missing::Refuse`], if there is such a position.
 pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option<String>, PluginError> {
     if places(count, available).iter().all(|place| (place - place.round()).abs() < SAME_PLACE) {
         return Ok(None);

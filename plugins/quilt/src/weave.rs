@@ -6,7 +6,7 @@
 //!
 //! ```text
 //! P = pitch · W / DPI · cos(atan(1 / slope))        number of lenses across the screen
-//! T = H / (W · slope)                               shift of a lens over H, in screen widths
+//! T = H / (W · slope)                               x shift of a lens over H, in screen widths
 //! s = 1 / (3 W)                                     width of a subpixel, in screen widths
 //! a = frac((u + c·s + v·T) · P − center)            position across the lens, 0..1
 //! view = min(⌊a · N⌋, N − 1)

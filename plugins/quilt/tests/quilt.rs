@@ -81,7 +81,8 @@ fn a_quilt_gives_back_every_view() {
     let back = open(&path, &flags, &GeometryDefaults::default(), task).unwrap();
     assert_eq!(back.radiance().shape(), [1, 6, 7, 10, 3]);
     for view in 0..6 {
-        // The quilt must have the views of the central row, of three rows.
+        // The light field has three rows of views. The quilt must have the views of the central
+        // row.
         let codes = codes8(&Transfer::Srgb, field.view([1, view]));
         assert_eq!(codes8(&Transfer::Srgb, back.view([0, view])), codes, "view {view}");
     }
@@ -211,7 +212,7 @@ fn bad_parameters_are_refused_by_name() {
         (json!({"columns": 2, "rows": 1, "width": 1}), "parameters `width` and `height`: expected at least"),
         (json!({"calibration": "nowhere.json"}), "parameter `calibration`: cannot read nowhere.json"),
         (json!({"calibration": "{\"pitch\": 1}"}), "parameter `calibration`: slope: expected a number"),
-        (json!({"write_quilt": false}), "parameter `write_quilt` is false"),
+        (json!({"write_quilt": false}), "parameter `write_quilt`: expected true, or a `calibration`"),
         (json!({"device": "phone"}), "parameter `device`: expected one of custom, portrait"),
     ] {
         let error = write(&display(), OutputData::LightField(&field), params.clone()).unwrap_err();

@@ -131,7 +131,7 @@ fn up_and_scale_place_the_splats() {
     let bounds = |params: Value| scene("a.ply", &ply, &params).bounds();
     let upright = bounds(json!({"up": "y"}));
     assert!(upright.max.y > 1.2 && upright.min.y > -0.95, "{upright:?}");
-    assert!(bounds(json!({})).min.y < -1.2, "y points down in training programs, so the import must turn it");
+    assert!(bounds(json!({})).min.y < -1.2, "the default axis of .ply is -y, so the import turns the ball upside down");
     let on_its_back = bounds(json!({"up": "z", "scale": 10.0}));
     assert!(on_its_back.min.z < -12.0, "{on_its_back:?}");
     assert!(bounds(json!({"up": "-z"})).max.z > 1.2);

@@ -68,7 +68,7 @@ pub struct SimulatorParams {
 
 impl OutputPlugin for WebSimulator {
     const DOC: &'static str = "Writes a static site that simulates the display; mouse, finger or phone move the view. \
-        Open preview.html by a double click, or use `lumistack preview` on the run.";
+        Open preview.html by a double click, or use `lumistack preview` on the run folder.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     type Params = SimulatorParams;
 

@@ -84,7 +84,7 @@ impl<'a> Site<'a> {
     }
 
     /// Writes a file of the site. If the site is also written as a single file, appends the file to
-    /// it. A single file that would become too large is removed.
+    /// the single file too. A single file that would become too large is removed.
     pub(crate) fn file(&mut self, path: &str, bytes: &[u8]) -> Result<(), PluginError> {
         self.host.write(&format!("{}{path}", self.folder), bytes)?;
         let Some(single) = &mut self.single else { return Ok(()) };

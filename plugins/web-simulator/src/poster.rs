@@ -18,11 +18,12 @@ pub(crate) const AROUND: &str = "stack/around.jpg";
 const POSTER_PX: usize = 1200;
 /// Longest side of a small view, pixels.
 const AROUND_PX: usize = 240;
-/// Largest size of the poster's file, bytes.
+/// Size limit of the poster's file, bytes; see [`QUALITIES`].
 const POSTER_BYTES: usize = 45_000;
-/// Largest size of the file with all small views, bytes.
+/// Size limit of the file with all small views, bytes; see [`QUALITIES`].
 const AROUND_BYTES: usize = 110_000;
-/// JPEG qualities. The first quality whose file is small enough is used, or else the last one.
+/// JPEG qualities. The first quality whose file is within its size limit is used. If there is none,
+/// the last quality is used, and the file exceeds the limit.
 const QUALITIES: [u8; 6] = [88, 80, 72, 64, 56, 48];
 /// Numbers of small views over the viewing zone, [horizontal, vertical]. Neighbouring small views
 /// are so close that their blend shows no visible double edges.
@@ -56,7 +57,7 @@ impl Poster {
 /// If the host cannot simulate.
 pub(crate) fn around(stack: &StackInput<'_>, fov_deg: [f64; 2]) -> Result<(Vec<u8>, Value), PluginError> {
     let views = stack.target().grid.views();
-    // With a single view the axis has no viewing zone, so the small views have slope 0.
+    // An axis with a single view has no viewing zone, so its small views have slope 0.
     let slopes = |axis: usize, views: usize| match (views, PLACES[axis]) {
         (1, _) => vec![0.0],
         (_, count) => {

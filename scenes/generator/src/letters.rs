@@ -158,8 +158,8 @@ fn add_rail(document: &mut Document, word: &Word, material: usize) {
     document.add_mesh_node(&format!("rail of {}", word.text), &Mesh::cuboid(low, high), material);
 }
 
-/// Adds graph paper over the whole wall, and two charts. The charts share one texture, of which
-/// each shows a part by its texture transform.
+/// Adds graph paper over the whole wall, two charts, and a slanted card of graph paper. The charts
+/// share one texture, and each chart shows a part of it by a texture transform.
 fn add_wall_and_charts(document: &mut Document) -> Result<(), GeneratorError> {
     document.use_extension("KHR_texture_transform");
     let paper = textures::graph_paper(rgb(226, 229, 224), rgb(70, 118, 150));

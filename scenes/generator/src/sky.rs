@@ -1,8 +1,8 @@
 //! Skies: smooth equirectangular radiance maps in Radiance HDR.
 //!
-//! Row 0 of the image is +y (up), and its centre column looks along -z. In the image, u rises to
-//! the right and v downwards, both 0..1. Columns to the right of the centre turn towards +x. So the
-//! direction of (u, v) is (sin πv · sin 2π(u - ½), cos πv, -sin πv · cos 2π(u - ½)).
+//! Row 0 of the image is +y (up), and the image's centre column looks along -z. In the image, u
+//! rises to the right and v downwards, both 0..1. Columns to the right of the centre turn towards
+//! +x. So the direction of (u, v) is (sin πv · sin 2π(u - ½), cos πv, -sin πv · cos 2π(u - ½)).
 
 use std::f64::consts::{PI, TAU};
 
@@ -21,7 +21,7 @@ const ROWS: usize = 32;
 pub(crate) struct Glow {
     /// Unit direction from the scene to the light's middle.
     pub(crate) direction: DVec3,
-    /// Radiance that the light adds to the sky in its middle, linear RGB.
+    /// Radiance that the light adds to the sky in the light's middle, linear RGB.
     pub(crate) color: DVec3,
     /// A larger value makes the light narrower.
     pub(crate) sharpness: f64,

@@ -120,8 +120,8 @@ fn the_camera_frames_the_window() {
     }
 }
 
-/// Returns rays from the viewer's side through 9 x 9 points of the window. They have the slopes of
-/// 5 x 5 views.
+/// Returns rays from the viewer's side through 9 x 9 points of the window. Every point has a ray
+/// for each of 5 x 5 slopes.
 fn viewing_rays(window: &Window) -> Vec<(DVec3, DVec3)> {
     let world_from_display = window.world_from_display();
     let steps = |count: i32| (-count..=count).map(move |k| f64::from(k) / f64::from(count));

@@ -31,8 +31,9 @@ impl Window {
         DMat3::from_rotation_x(-self.pitch_rad)
     }
 
-    /// Returns a world point. It is `y_m` above the window's centre and `x_m` to its right. A
-    /// display shows it at the depth `depth_m`, which is above 0 in front of the window.
+    /// Returns the world point that is `y_m` above the window's centre, `x_m` to the right of the
+    /// centre, and that a display shows at the depth `depth_m`. This depth is above 0 in front of
+    /// the window.
     pub(crate) fn at(&self, x_m: f64, y_m: f64, depth_m: f64) -> DVec3 {
         let (sin, cos) = self.pitch_rad.sin_cos();
         DVec3::new(x_m, y_m, (depth_m - y_m * sin) / cos)

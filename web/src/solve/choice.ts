@@ -1,4 +1,5 @@
-// The user's choice of a display. The panel shows it, and the page's address contains it.
+// The user's choice of a display. The page's controls show the choice, and the page's address
+// contains it.
 
 interface About {
   layers: number;

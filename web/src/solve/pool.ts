@@ -21,8 +21,8 @@ export type PoolMessage = { kind: "copied"; image: ArrayBuffer } | ({ kind: "tra
 /** Largest number of threads that render, unless the page's address sets it. */
 const MOST_THREADS = 5;
 /**
- * Largest number of views that a thread has and has not yet traced. While the solver works on a
- * piece and reads no messages, the thread traces its second view.
+ * Largest number of views that a thread has and has not yet traced. While the solver's thread is
+ * busy and reads no messages, the thread of the pool traces its second view.
  */
 const VIEWS = 2;
 

@@ -128,8 +128,8 @@ impl Licences {
         }
     }
 
-    /// Lists all packages with their licences, then every licence text with the packages that have
-    /// it.
+    /// Lists the packages of other projects with their licences, then every licence text with the
+    /// packages that have it.
     pub fn text(&self) -> String {
         let mut text =
             String::from("Lumistack is made of these packages of Rust. The licence of each follows its name.\n\n");

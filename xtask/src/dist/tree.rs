@@ -84,7 +84,7 @@ pub fn with_program(shared: &[File], program: &Path, target: &Target) -> Outcome
     Ok(std::iter::once(program).chain(shared.iter().cloned()).collect())
 }
 
-/// Copies the viewer's npm package with its licences into a folder, which it returns.
+/// Copies the viewer's npm package with its licences into a folder, and returns the folder.
 pub fn viewer(licences: &str) -> Outcome<PathBuf> {
     let folder = tools::root().join("target/npm");
     let _ = std::fs::remove_dir_all(&folder);

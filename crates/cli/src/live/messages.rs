@@ -10,8 +10,8 @@ use serde_json::json;
 use super::door::Events;
 use super::requests::lock;
 
-/// Forwards each warning once, since a scene is rendered many times. Pages show the newest warning,
-/// and an attached program receives every warning.
+/// Passes each warning to `to` only once, since a scene is rendered many times. Pages show the
+/// newest warning. An attached program receives every warning, also a repeated one.
 pub(super) struct Once<'a> {
     to: &'a dyn Warnings,
     messages: &'a Messages,

@@ -85,7 +85,8 @@ impl Requests {
             [] => None,
             keys => Some(with_keys(&kept.request.job, keys).map_err(|error| error.to_string())?),
         };
-        // Wrong positions have no effect. This is the last check, so it may store the positions.
+        // `see` stores the positions if they are valid. It is the last check, so nothing can fail
+        // after it.
         if let Some(heads_mm) = &changes.heads_mm {
             self.see(heads_mm, Eyes::Two).map_err(|error| error.to_string())?;
         }

@@ -44,8 +44,8 @@ pub(super) struct Shared {
     to_solve: Mailbox<SolveRequest>,
     /// States to show.
     pub(super) states: Mailbox<State>,
-    /// Number of the newest light field that the solver has finished: the light field has a state,
-    /// or it cannot be solved.
+    /// Number of the newest light field that the solver has finished, with a state or with an
+    /// error.
     handled: AtomicU64,
     files: Mutex<(Vec<PathBuf>, SystemTime)>,
     updates: u32,

@@ -9,9 +9,9 @@ const MOST_DETAIL: f64 = 4.0;
 
 impl Analysis {
     /// Draws the bound over depth along an axis (0: x, 1: y), as SVG. Each display has a curve of
-    /// its bound. A closed form that differs from the bound by more than 1 % has a dashed curve. So
-    /// has the bound of a lens array alone, without layers. The depth histogram of the first scene
-    /// is in the background.
+    /// its bound. Dashed curves show each closed form that differs from the bound by more than 1 %,
+    /// and the bound of each lens array alone, without layers. The depth histogram of the first
+    /// scene is in the background.
     ///
     /// # Errors
     /// If there are no displays.

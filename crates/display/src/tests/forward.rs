@@ -190,8 +190,8 @@ fn seen_pictures_of_any_display_are_means_over_pixels() {
     }
 }
 
-/// Returns the largest difference between the seen picture and the oracle's, over all pixels of the
-/// last view.
+/// Compares the seen picture of the last view with the oracle's picture. Returns the largest
+/// difference of the pixels' shares, and of their radiance where the share exceeds a tenth.
 fn compare_seen(display: &Display, stack: &LayerStack, geometry: &FieldGeometry, fine: usize) -> f64 {
     display.check().unwrap();
     let effective: Vec<Effective> =

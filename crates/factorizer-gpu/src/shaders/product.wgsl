@@ -1,5 +1,6 @@
 // Layers attenuate: a_m is the product of all other factors, Π_{k ≠ own} f_k, in frame m. The
-// emission of frame m is a_m times the own factor. Without an own factor, a_m is the emission.
+// emission of frame m is a_m times the own factor. In errors.wgsl no factor is the own factor, and
+// a_m is the emission.
 //@ frames
 var a{m} = 1.0;
 //@ end

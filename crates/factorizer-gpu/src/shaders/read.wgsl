@@ -2,9 +2,9 @@
 // factorizer's expand.rs and rows.rs.
 //
 // Each buffer holds one colour channel. A factor is stored as [line][frame][column], the target as
-// [field row][view][field column]. A dispatch binds only the parts of the buffers that it reads
-// (windows). Tables give the line that a ray reads, by [view row][field row], and the column, by
-// [view column][field column].
+// [field row][view][field column]. The own factor is the factor that a dispatch updates. A dispatch
+// binds only the parts of the buffers that it uses (windows). Tables give the line that a ray
+// reads, by [view row][field row], and the column, by [view column][field column].
 
 struct Params {
     views_y: u32,
@@ -19,7 +19,7 @@ struct Params {
     out_base: u32,
     target_base: u32,
     weights_base: u32,
-    // number of workgroups before this dispatch, and number of workgroups per line
+    // number of workgroups in earlier dispatches of this update, and number of workgroups per line
     sums_base: u32,
     groups_x: u32,
     // offsets of the tables of the rays through each line and each column of the own factor

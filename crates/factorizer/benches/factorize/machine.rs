@@ -100,7 +100,7 @@ impl Kernel for MultiplyAdds {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>(rounds: u64) {
-        // SAFETY: the machine has V
+        // SAFETY: the machine has the instruction set of V
         unsafe {
             let (factor, addend) = (V::splat(black_box(0.999)), V::splat(black_box(0.001)));
             let mut sums = [factor; SUMS];

@@ -241,7 +241,11 @@ fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome
             let difference = peers::largest_difference(&saved, &ours)?;
             println!("{}, {variant}: masks after one update differ by at most {difference:.1e}", peer.name);
             if difference >= SAME_MASKS {
-                return Err(format!("{}, {variant}: expected the same masks within {SAME_MASKS:e}", peer.name).into());
+                return Err(format!(
+                    "{}, {variant}: expected masks within {SAME_MASKS:e} of Lumistack's, found {difference:.1e}",
+                    peer.name
+                )
+                .into());
             }
             let (name, threads) = (peer.name.clone(), peer.threads);
             rows.push(PeerRow { name, threads, variant, difference, times: Series::default() });

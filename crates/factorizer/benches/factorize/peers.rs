@@ -72,7 +72,7 @@ impl Peer {
         let mut line = String::new();
         if self.answers.read_line(&mut line)? == 0 {
             return Err(
-                format!("{} ended without an answer", if self.name.is_empty() { "it" } else { &self.name }).into()
+                format!("{} ended without an answer", if self.name.is_empty() { "peer" } else { &self.name }).into()
             );
         }
         Ok(serde_json::from_str(&line)?)

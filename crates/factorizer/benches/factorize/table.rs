@@ -213,7 +213,7 @@ impl Report {
         if share < QUIET {
             let _ = writeln!(
                 text,
-                "The median of these measurements was {:.0} % of the best: other programs ran. Only ratios and shares are reliable.",
+                "The median of these measurements was {:.0} % of the best, so other programs ran. Only ratios and percentages are reliable.",
                 100.0 * share
             );
         }
@@ -232,7 +232,7 @@ impl Report {
         }
         let _ = writeln!(
             text,
-            "Shares are of these rates, at the fastest time. Operations per ray and channel with F factors and M frames: F M (F+1) multiplicative,\n\
+            "Percentages are fractions of these rates, for the fastest time. Operations per ray and channel with F factors and M frames: F M (F+1) multiplicative,\n\
              F (M (F−1) + M (M+1)/2) block-exact. Bytes: for each factor, an update reads the target in 16 bits and all factors in 32 bits, and writes one factor."
         );
     }

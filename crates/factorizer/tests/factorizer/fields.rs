@@ -1,4 +1,5 @@
-//! Compares PSNR with published values on the two light fields of the shared folder.
+//! Compares PSNR with published values of an independent implementation, on the two light fields of
+//! the shared folder.
 
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Missing, OutsideBins, Weights};

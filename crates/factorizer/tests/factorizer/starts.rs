@@ -1,5 +1,5 @@
-//! Compares warm starts with fresh starts: the choice by `warm_start_pays` must agree with the
-//! result of five iterations.
+//! Compares warm starts with fresh starts: after five iterations, the start that `warm_start_pays`
+//! chooses must not be clearly worse than the other start.
 
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{LightField, Weights};
@@ -124,8 +124,8 @@ fn the_start_that_is_taken_is_not_the_worse_one() {
     }
 }
 
-/// A target may be black in views of weight 0, as that of a live display is between the rows and
-/// columns of its viewers. Nothing of these views may be in the patterns.
+/// A target may be black in views of weight 0. In the target of a live display, views in the row of
+/// one viewer and a column of another viewer are black. The patterns must not depend on such views.
 #[test]
 fn views_of_weight_0_change_no_pattern() {
     let Owned { display, target, .. } = card(0.0, 0.0);

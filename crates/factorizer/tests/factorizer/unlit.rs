@@ -16,8 +16,9 @@ const COST_DB: f64 = 1e-3;
 const UNLIT: f32 = 1e-6;
 
 /// Largest allowed value of an unlit pixel. It is not 0, since the solver darkens one layer after
-/// the other. If the second layer becomes dark, pixels of the first layer become unlit, and keep
-/// their values. This happens only if these values are below the solver's limit.
+/// the other. Where the second layer becomes dark, pixels of the first layer become unlit, and keep
+/// their values. The second layer becomes dark only where these values are below the solver's
+/// limit.
 const BLACK: f32 = 1e-4;
 
 /// Returns a problem with two layers of three frames. The left half of the target is black; its

@@ -38,8 +38,8 @@ const DETERMINED: f64 = 0.1;
 const SEEN_TOLERANCE: f64 = 1e-5;
 const SEEDS: [u64; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 
-/// Returns every kernel that this machine can run: instruction sets, with and without the fast
-/// path.
+/// Returns every kernel that this machine can run: each instruction set, with and without the
+/// kernels that the argument `fast` of [`Engine::use_kernel`] permits.
 fn kernels() -> Vec<(Backend, bool)> {
     Backend::available().iter().flat_map(|backend| [(*backend, false), (*backend, true)]).collect()
 }

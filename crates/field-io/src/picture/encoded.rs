@@ -75,7 +75,7 @@ fn damaged(path: &Path, error: &image::ImageError) -> FieldError {
 
 fn from_decoded(decoded: DynamicImage) -> Picture {
     let (cols, rows) = (decoded.width() as usize, decoded.height() as usize);
-    // Opaque pictures, for example of a screen, keep their code values.
+    // Opaque pictures with an alpha channel, such as screenshots, keep their code values.
     let has_alpha = decoded.color().has_alpha() && !is_opaque(&decoded);
     let samples = match decoded {
         DynamicImage::ImageRgb32F(picture) => Samples::Linear(picture.into_raw()),

@@ -52,7 +52,7 @@ impl Picture {
     }
 
     /// Returns true if the picture has sRGB code values, which are clipped at white. Returns false
-    /// if it has linear values: radiance, or code values that were composited by an alpha below 1.
+    /// if it has linear values: radiance, or decoded values that an alpha below 1 has darkened.
     pub fn is_encoded(&self) -> bool {
         !matches!(self.samples, Samples::Linear(_))
     }

@@ -382,8 +382,8 @@ fn a_cancelled_read_stops() {
     assert!(matches!(result, Err(FieldError::Cancelled(_))));
 }
 
-/// The angles of a file are of all its views, also if only some views are kept. Views that are
-/// mirrored take their slopes along.
+/// The angles in a file apply to all of its views, even if only some views are kept. Mirroring also
+/// mirrors the slopes: their order is reversed, and they change sign.
 #[test]
 fn kept_and_mirrored_views_have_their_own_slopes() {
     let folder = tempfile::tempdir().unwrap();

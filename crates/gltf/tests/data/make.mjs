@@ -4,8 +4,8 @@
 //   npm install @gltf-transform/functions@4 draco3dgltf meshoptimizer ktx2-encoder
 //   node make.mjs FOLDER
 //
-// The scene is a grid of 5 × 4 vertices on z = sin(x) · y with normals and texture coordinates. Its
-// node turns, and its picture has 20 × 12 texels.
+// The scene of the .glb files is a grid of 5 × 4 vertices on z = sin(x) · y, with normals and
+// texture coordinates, whose node turns. The .ktx2 files contain a picture of 20 × 12 texels.
 import { writeFileSync } from 'node:fs';
 import { Document, NodeIO } from '@gltf-transform/core';
 import { ALL_EXTENSIONS, EXTMeshoptCompression, KHRDracoMeshCompression } from '@gltf-transform/extensions';

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 /// Longest time in which any file of the corpus is loaded or refused.
 const MAX_LOAD_TIME: Duration = Duration::from_secs(20);
 
-/// Numbers of triangles of files, including copies. They are those of the corpus' own inventory,
+/// Numbers of triangles of files, including copies. The numbers are from the corpus' own inventory,
 /// unless a comment says otherwise.
 const TRIANGLES: [(&str, usize); 25] = [
     ("BoxMeshopt/BoxMeshopt.glb", 12),
@@ -151,7 +151,7 @@ const HARMLESS: [(&str, &str); 32] = [
     ("ACCESSOR_OFFSET_ALIGNMENT", "bytes are read one by one"),
     ("ACCESSOR_TOTAL_OFFSET_ALIGNMENT", "bytes are read one by one"),
     ("ACCESSOR_VECTOR3_NON_UNIT", "made unit length"),
-    ("BUFFER_DATA_URI_MIME_TYPE_INVALID", "the content decides"),
+    ("BUFFER_DATA_URI_MIME_TYPE_INVALID", "the stated media type is not read"),
     ("BUFFER_VIEW_INVALID_BYTE_STRIDE", "a stride of a view without vertices is applied or not, with a warning"),
     ("BUFFER_VIEW_TARGET_OVERRIDE", "targets are hints for graphics cards"),
     ("CAMERA_ZFAR_LEQUAL_ZNEAR", "nothing is clipped"),
@@ -206,17 +206,17 @@ fn with_a_triangle(path: &Path) -> Option<Vec<u8>> {
 /// this is right.
 const LENIENT: [(&str, &str); 6] = [
     ("buffer/invalid_uri_data.glb", "shows nothing; its twin in JSON is refused when shown"),
-    ("buffer/no_bin_chunk.glb", "shows nothing; the same is refused when shown in the tests of errors"),
+    ("buffer/no_bin_chunk.glb", "shows nothing; a test in errors.rs shows a mesh with this defect, which is refused"),
     ("glb/bom.glb", "a byte order mark is skipped"),
     ("json/bom.gltf", "a byte order mark is skipped"),
-    ("image/invalid_data_uri_mime_type.gltf", "the stated media type is wrong; the content decides"),
+    ("image/invalid_data_uri_mime_type.gltf", "the stated media type is wrong; the content decides the format"),
     ("root/extensions_non_objects.gltf", "extensions of this form are not read"),
 ];
 
 /// Files that are refused although all of their errors are in [`HARMLESS`], and the reason.
 const STRICT: [(&str, &str); 1] = [(
     "animation_data/quaternion_non_unit_values.gltf",
-    "its times have no data and so are all zero, which the validator does not look at",
+    "its times have no data and so are all zero, which the validator does not check",
 )];
 
 /// A file with a harmful validator error is refused, at the latest when the scene shows the object

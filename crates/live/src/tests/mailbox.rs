@@ -54,7 +54,7 @@ fn a_display_never_waits_for_a_solver() {
             std::thread::sleep(REFRESH);
         }
         // a busy machine delays the sleeps, but no read may last as long as 20 refreshes
-        assert!(looks > 100 && longest < 20 * REFRESH, "{looks} looks, the longest {longest:?}");
+        assert!(looks > 100 && longest < 20 * REFRESH, "{looks} reads, the longest {longest:?}");
         assert_eq!(mailbox.after(0).unwrap().0, 400);
     });
 }

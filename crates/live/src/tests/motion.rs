@@ -23,8 +23,8 @@ fn content_that_moves_is_found_on_every_layer_and_patterns_move_with_it() {
                 continue;
             };
             for flow in &flows {
-                // Compare only pixels away from the border, where new content enters that matches
-                // nothing.
+                // New content enters across the border and matches nothing, so compare only pixels
+                // away from the border.
                 let inner: Vec<[i32; 2]> = (12..38)
                     .flat_map(|row| (24..68).map(move |col| [row, col]))
                     .map(|[row, col]| flow.at(row, col))
@@ -37,7 +37,7 @@ fn content_that_moves_is_found_on_every_layer_and_patterns_move_with_it() {
     }
 }
 
-/// The value of a pixel is the pixel's number, so the test sees from where a value has moved.
+/// The value of a pixel is the pixel's index, so a moved value shows the pixel that it came from.
 #[test]
 fn values_move_by_whole_pixels_in_every_frame() {
     let display = display();

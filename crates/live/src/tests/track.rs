@@ -114,7 +114,7 @@ fn recorded() -> Vec<[[f64; 3]; 2]> {
 fn two_viewers_who_move_get_what_the_whole_zone_cannot_have() {
     /// Number of reports of the tracker per state.
     const PER_STATE: usize = 2;
-    /// Delay of a state, in reports: the time from its newest report to its display.
+    /// Time from the newest report that a state uses to the display of the state, in reports.
     const LATENCY: usize = 2;
     const REPORT_MS: u64 = 33;
     const UPDATES: u32 = 5;
@@ -150,7 +150,7 @@ fn two_viewers_who_move_get_what_the_whole_zone_cannot_have() {
             }
         }
     }
-    // compare the median and the worst twentieth
+    // compare the median and the 5th percentile
     for scores in [&mut tracked, &mut gains] {
         scores.sort_by(f64::total_cmp);
     }
@@ -163,8 +163,8 @@ fn two_viewers_who_move_get_what_the_whole_zone_cannot_have() {
     assert!(fifth[0] > median[0] - 3.0, "{median:?} {fifth:?}");
 }
 
-/// Views at the eyes are mixtures of the views around each ray. So linear functions of the slope
-/// are exact, in parallel projections and in perspective.
+/// Views at the eyes are mixtures of the views around each ray. So a light field that is linear in
+/// the slope is reproduced exactly, in parallel projections and in perspective.
 #[test]
 fn eyes_see_mixtures_of_the_views_around_each_ray() {
     for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 700.0 }] {
@@ -187,7 +187,7 @@ fn eyes_see_mixtures_of_the_views_around_each_ray() {
         let Rays::Eyes(eyes) = tracker.boxes(ms(0), ms(0)).rays(&target, 10.0).unwrap() else { panic!("no eyes") };
         let seen = eyes.field().geometry();
         assert_eq!((seen.grid.views(), eyes.display().sampling), ([2, 8], Sampling::Bilinear));
-        // each eye of each viewer lies in the middle of two views, in the viewer's row of views
+        // each eye of each viewer is midway between two views, in the viewer's row of views
         let columns = [-101.5, -81.5, -38.5, -18.5, 8.5, 28.5, 71.5, 91.5];
         for (view, slope) in seen.grid.slope_x.iter().enumerate() {
             assert!((slope * 600.0 - columns[view]).abs() < 1e-9, "{slope}");

@@ -99,7 +99,7 @@ impl Embree {
         let symbol = |name: &CStr| -> Outcome<*mut c_void> {
             // SAFETY: handle and name are valid
             let found = unsafe { dlsym(handle, name.as_ptr()) };
-            if found.is_null() { Err(format!("expected the function {name:?}").into()) } else { Ok(found) }
+            if found.is_null() { Err(format!("Embree: expected the function {name:?}").into()) } else { Ok(found) }
         };
         let mut vertices: Vec<f32> = triangles.iter().flatten().flat_map(|v| v.to_array()).collect();
         // Embree may read four values per vertex
@@ -121,7 +121,7 @@ impl Embree {
             let commit: extern "C" fn(Pointer) = std::mem::transmute(symbol(c"rtcCommitScene")?);
             let device = new_device(c"threads=2".as_ptr());
             if device.is_null() {
-                return Err("Embree makes no device".into());
+                return Err("Embree: expected a device, found none".into());
             }
             let scene = new_scene(device);
             quality(scene, QUALITY_HIGH);

@@ -1,6 +1,6 @@
-//! Compares four ways to render light fields. Views are rendered one by one, with diffuse light
-//! that the views share, with shared light and further paths, or with a filter. Each way renders
-//! twice, with independent seeds.
+//! Compares four ways to render light fields. Views are rendered one by one, with light that the
+//! views share, with shared light and further paths, or with a filter. Each way renders twice, with
+//! independent seeds.
 
 use std::time::Duration;
 
@@ -151,7 +151,7 @@ fn mean_of([a, b]: [&Tensor<3>; 2]) -> (f64, f64) {
 
 /// Renders the views of a case in all four ways, at several numbers of samples. Prints a table row
 /// per way and number of samples. The last column compares errors at equal time. It is the error
-/// of views that are rendered one by one, divided by the error of the row's way.
+/// of views that are rendered one by one in the same time, divided by the error of the row's way.
 pub fn filters(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);

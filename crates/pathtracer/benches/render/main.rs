@@ -20,8 +20,8 @@
 //!   prints a line per renderer and sampler: median time, samples per second, mean squared error
 //!   against the renderer's own converged picture, and error × seconds per megapixel.
 //! * `agree` compares converged pictures of the same view, and fails if they differ too much.
-//! * `field` renders many views in three ways: one by one, with light that is averaged over all
-//!   views, and with this light and further paths. It prints a row per way: processor seconds,
+//! * `field` renders many views in three ways: one by one, with light that the views share, and
+//!   with shared light and further paths. It prints a row per way: processor seconds,
 //!   squared error, error of the worst view, bias, change of the mean, variance of the mean view,
 //!   and speed-up at equal error. With `--converged` it also compares the means of three views with
 //!   pictures of N samples. With peers the views are perspective, and a row per peer follows.

@@ -102,12 +102,12 @@ impl Bvh {
         stack: &mut Stack,
         mut accept: impl FnMut(usize, &Hit) -> bool,
     ) {
-        assert!(rays.len() <= BEAM, "a beam of {} rays", rays.len());
+        assert!(rays.len() <= BEAM, "expected at most {BEAM} rays in a beam, found {}", rays.len());
         *hits = [None; BEAM];
         if self.root == EMPTY || rays.is_empty() {
             return;
         }
-        assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
+        assert!(stack.0.len() > self.stack_depth, "expected a stack of this tree, found a smaller stack");
         let shear = Shear::new(&rays[0]);
         if !rays.iter().all(|ray| shear.has_axes_of(ray)) {
             return self.alone(rays, hits, stack, accept);

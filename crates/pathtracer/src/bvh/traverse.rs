@@ -212,7 +212,7 @@ impl Bvh {
         if self.root == EMPTY {
             return None;
         }
-        assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
+        assert!(stack.0.len() > self.stack_depth, "expected a stack of this tree, found a smaller stack");
         // SAFETY: the caller has the instruction set. Child references point into the arrays they
         // were made with. No more than `stack_depth` children are ever postponed, which `build`
         // counts and the assertion above checks.
@@ -356,7 +356,7 @@ impl Bvh {
         if self.root == EMPTY {
             return product;
         }
-        assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
+        assert!(stack.0.len() > self.stack_depth, "expected a stack of this tree, found a smaller stack");
         // SAFETY: as in `nearest_in`
         unsafe {
             // a local copy makes the loop faster; the doc of [`Arrays`] states the reason

@@ -51,7 +51,7 @@ impl Frame {
         let (rows, cols) = (geometry.rows, geometry.cols);
         let count = rows * cols;
         let grid = &geometry.grid;
-        assert_eq!(source.features.size(), [rows, cols], "guides have the geometry's size");
+        assert_eq!(source.features.size(), [rows, cols], "expected guides of the geometry's size");
         let mut planes: [Vec<f32>; PLANES] = std::array::from_fn(|_| vec![0.0; count]);
         let mut modulation = Vec::with_capacity(count);
         for row in 0..rows {

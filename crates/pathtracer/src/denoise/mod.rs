@@ -82,7 +82,7 @@ pub fn denoise(
     task: Task<'_>,
 ) -> Result<Vec<Tensor<3>>, Cancelled> {
     let places: Vec<[usize; 2]> = geometry.grid.iter().collect();
-    assert_eq!(places.len(), views.len(), "one picture for every view of the grid");
+    assert_eq!(places.len(), views.len(), "expected one picture for every view of the grid");
     let mut frames = Vec::with_capacity(views.len());
     for (&place, view) in places.iter().zip(views) {
         task.cancel.check()?;

@@ -131,7 +131,8 @@ impl Light {
     }
 }
 
-/// Light that the views of a light field are to share. It takes 28 bytes for every ray.
+/// Light that the views of a light field are to share. It takes 28 bytes for every ray of the light
+/// field, that is, for every pixel of every view.
 pub struct SharedLight<'a> {
     geometry: &'a FieldGeometry,
     /// n of the weight k, the number of paths of a pixel on a smooth surface.
@@ -179,7 +180,7 @@ impl<'a> SharedLight<'a> {
     /// were added before.
     pub fn add(&mut self, view: &SplitView) {
         let [rows, cols] = view.size();
-        assert_eq!([rows, cols], [self.geometry.rows, self.geometry.cols], "views of the geometry's size");
+        assert_eq!([rows, cols], [self.geometry.rows, self.geometry.cols], "expected a view of the geometry's size");
         let first = self.added * rows * cols;
         if let Array::Held(points) = &mut self.points {
             points.resize(first + rows * cols, Point::default());
@@ -206,7 +207,7 @@ impl<'a> SharedLight<'a> {
     /// If not every view of the grid was added.
     pub fn averaged(mut self, task: Task<'_>) -> Result<MeanLight, Cancelled> {
         let [view_rows, view_cols] = self.geometry.grid.views();
-        assert_eq!(self.added, view_rows * view_cols, "every view of the grid");
+        assert_eq!(self.added, view_rows * view_cols, "expected every view of the grid");
         if let Array::Held(light) = &mut self.light {
             *light = vec![Light::default(); self.added * self.geometry.rows * self.geometry.cols];
         }
@@ -218,7 +219,7 @@ impl<'a> SharedLight<'a> {
             let near = nearest(index / view_cols, view_rows, view_cols);
             near.map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>()
         };
-        // k, the weight of H, as a function of roughness
+        // the factor of |s − s'|² in the weight k, for every roughness
         let turns = turns(self.paths);
         pass(self.geometry, &self.points, &turns, of_row, &mut self.light, task)?;
         let ((points, of_points), (light, of_light)) = (self.points.all_mut(), self.light.all());
@@ -247,7 +248,7 @@ impl<'a> SharedLight<'a> {
 
 impl MeanLight {
     /// Returns the view of this number in the grid as radiance `[row][col][rgb]`. Where other views
-    /// contributed to the mean light, it replaces the light of the view itself.
+    /// contributed to the mean light, the mean light replaces the light of the view itself.
     pub fn on(&self, number: usize, view: &SplitView) -> Tensor<3> {
         let [rows, cols] = view.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -314,8 +315,9 @@ fn turns(paths: u32) -> [f32; 256] {
     })
 }
 
-/// Returns the views of a row or column of `count` views that are averaged for the view `own`. They
-/// are at most `NEAREST` views, or more if there are few views along the other axis: `across`.
+/// Returns the views of a row or column of `count` views that are averaged for the view `own`. The
+/// other axis has `across` views. The result has at most `NEAREST` views, or more if `across` is
+/// smaller than `NEAREST`.
 fn nearest(own: usize, count: usize, across: usize) -> Range<usize> {
     let most = (NEAREST * NEAREST / across.clamp(1, NEAREST)).min(count);
     let first = own.saturating_sub(most / 2).min(count - most);
@@ -471,7 +473,7 @@ mod tests {
     fn the_nearest_views_are_averaged() {
         // all views of the grids of most displays
         assert_eq!([nearest(0, 13, 13), nearest(12, 13, 13), nearest(2, 5, 5)], [0..13, 0..13, 0..5]);
-        // 25 × 25 views: six on either side, and as many at the rim
+        // 25 × 25 views: 13 views, six on either side; near the rim, the nearest 13 views
         assert_eq!([0, 3, 12, 20, 24].map(|own| nearest(own, 25, 25)), [0..13, 0..13, 6..19, 12..25, 12..25]);
         // a quilt has a single row
         assert_eq!([nearest(20, 45, 1), nearest(0, 1, 45), nearest(30, 60, 4)], [0..45, 0..1, 9..51]);

@@ -1,5 +1,5 @@
 //! Checks: a few pixels of a view, which are rendered twice more, independently of all other
-//! renders. The checks measure the error of a denoised picture F, which does not depend on the
+//! renders. The checks measure the error of a denoised picture F, since F is independent of the
 //! checks:
 //!
 //! ```text

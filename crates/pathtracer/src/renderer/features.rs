@@ -97,7 +97,7 @@ impl Features {
     /// If the sizes of `self` and `other` differ.
     #[must_use]
     pub fn joined(mut self, other: &Self) -> Self {
-        assert_eq!(self.size(), other.size(), "guides of one view");
+        assert_eq!(self.size(), other.size(), "expected guides of equal sizes");
         let pixels = self.values.data_mut().chunks_exact_mut(FEATURES).zip(other.values.data().chunks_exact(FEATURES));
         for (own, other) in pixels {
             let all = own[0] + other[0];

@@ -12,12 +12,12 @@ pub(crate) const FEATURES: usize = 11;
 /// Number of values per pixel of a view whose diffuse and other light are separate.
 pub(super) const PARTS: usize = 17;
 /// Number of values per pixel if some rays end at the first surface: the values of [`PARTS`], then
-/// both reflectances over the paths alone.
+/// the diffuse and the glossy reflectance over the paths alone.
 pub(super) const MORE_PARTS: usize = PARTS + 6;
 /// Index of the smallest α of a pixel's rays among the pixel's values.
 pub(super) const ALPHA: usize = PARTS - 1;
 /// Number of values of [`FirstSums::apart`]: the values of [`MORE_PARTS`], then the light that the
-/// rays themselves see. The values of [`MORE_PARTS`] then lack this light.
+/// rays themselves see. Here the values of [`MORE_PARTS`] do not include this light.
 pub(super) const APART: usize = MORE_PARTS + 3;
 
 /// Converts points and directions of render space to depths and directions of display space.
@@ -49,7 +49,7 @@ impl DisplayAxes {
 /// [`turned`](Self::turned) converts them to display space.
 #[derive(Default)]
 pub(super) struct FirstSums {
-    /// Number of all rays, of rays that continue as paths, and of rays that hit a surface.
+    /// Number of all rays. Of these, `paths` rays continue as paths, and `hits` rays hit a surface.
     rays: u32,
     paths: u32,
     hits: u32,
@@ -102,7 +102,7 @@ impl FirstSums {
             self.path_reflectance += first.reflectance;
             self.path_glossy += first.gloss.reflectance;
         }
-        // light that a ray itself sees is part of the light that other views do not share
+        // α = 0 marks light that other views do not share, such as light that a ray itself sees
         let alpha = if first.seen == Vec3::ZERO { first.gloss.alpha } else { 0.0 };
         self.sharpness = self.sharpness.max(1.0 - alpha);
         let Some(z_mm) = z_mm else { return };
@@ -123,16 +123,18 @@ impl FirstSums {
         self.diffuse += diffuse;
     }
 
-    /// Gives the light of the paths of a group of pixels to those pixels that have no path. `light`
-    /// has the sums of the light of all paths of each pixel. The rays of the group hit one surface,
-    /// which emits no light; see [`SparsePaths`](crate::sparse::SparsePaths). Without light that is
-    /// finite, the other pixels remain without paths, so other views give them light.
+    /// Gives the light of the paths of a group of pixels to those pixels that have no path. Each
+    /// pixel has its [`LightSums`], over its own paths. If a pixel has no path, all rays of the
+    /// group hit one surface, which emits no light; see
+    /// [`SparsePaths`](crate::sparse::SparsePaths). If the light of any path is not finite, pixels
+    /// without a path stay without one. Other views then give them light.
     pub(super) fn lend(group: &mut [(Self, LightSums)]) {
         let is_finite = group.iter().all(|(_, light)| light.not_finite == 0);
         if !is_finite || group.iter().all(|(first, _)| first.paths > 0) {
             return;
         }
-        // E and H of the group, by which its light is independent of its textures
+        // E and H of the group (see `denoise/shared.rs`): its light divided by its reflectances, so
+        // that textures have no effect
         let sum = |of: fn(&Self, &LightSums) -> Vec3| group.iter().map(|(first, light)| of(first, light)).sum::<Vec3>();
         let paths = group.iter().map(|(first, _)| first.paths).sum::<u32>() as f32;
         let diffuse = sum(|first, _| first.diffuse) / divisor(sum(|first, _| first.path_reflectance) / paths);
@@ -184,8 +186,9 @@ impl FirstSums {
         values
     }
 
-    /// Returns the values of [`split`](Self::split), then both reflectances over the paths alone,
-    /// then the light that all rays themselves see. The values of `split` lack this last light.
+    /// Returns the values of [`split`](Self::split), then the diffuse and the glossy reflectance
+    /// over the paths alone, then the light that all rays themselves see. The values of `split`
+    /// lack this last light.
     pub(super) fn apart(&self, mean: Vec3, finite: u32) -> [f32; APART] {
         let of_paths = 1.0 / self.paths.max(1) as f32;
         let mut values = [0.0; APART];

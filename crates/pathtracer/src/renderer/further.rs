@@ -16,8 +16,9 @@
 //! only one of thousands. So the choice adds no bias that could be measured.
 //!
 //! Measured with 5 × 5 views of 140 × 88 pixels and 4 samples: processor time at equal squared
-//! error, as a fraction of the time of views rendered one by one. The variant "all" doubles the
-//! rays of every pixel, but not its paths. The renderer does not have this variant.
+//! error, as a fraction of the time of views rendered one by one. The columns state which pixels
+//! get further rays: none with "shared alone". The variant "all" doubles the rays of every pixel,
+//! but not its paths. The renderer does not have this variant.
 //!
 //! | scene | shared alone | all | edges and mirrors | with textures |
 //! |---|---|---|---|---|
@@ -131,7 +132,7 @@ impl Renderer {
         for (number, ((joined, own), more)) in pixels.enumerate().filter(|(number, _)| further[*number].rays > 0) {
             let Further { paths, rays } = further[number];
             let (paths, rays) = (paths as f32, rays as f32);
-            // fractions of the further paths among all paths, and among all rays
+            // fraction of the further paths among all paths, and of the further rays among all rays
             let (of_paths, of_rays) = (paths / (paths + own_samples), rays / (rays + own_rays));
             let surface = |values: &[f32]| values[9..12].iter().any(|normal| *normal != 0.0);
             let of_surface = match [surface(own), surface(more)] {

@@ -30,12 +30,12 @@ use crate::settings::Settings;
 pub struct SplitView {
     /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm, gloss rgb, alpha]`.
     /// The normal is in display space, and z_mm is the depth in display space towards the viewer.
-    /// Both are 0 if no surface is seen. The reflectance is that of the diffuse lobe, the gloss
-    /// that of the base's other lobes at normal incidence. The smaller squared roughness of
-    /// base and coat is alpha; it is 0 if the pixel shows glass or light that a ray itself sees.
-    /// With [further rays](Settings::has_further_rays) a second reflectance rgb and a second gloss
-    /// rgb follow. The first ones are means over all rays of the pixel, the second ones means over
-    /// the rays that continue as paths.
+    /// Both are 0 if no surface is seen. The reflectance is that of the diffuse lobe. The gloss is
+    /// the reflectance of the base's other lobes at normal incidence. Alpha is the smaller squared
+    /// roughness of base and coat; it is 0 if the pixel shows glass or light that a ray itself
+    /// sees. With [further rays](Settings::has_further_rays) a second reflectance rgb and a second
+    /// gloss rgb follow. The first ones are means over all rays of the pixel, the second ones means
+    /// over the rays that continue as paths.
     values: Tensor<3>,
 }
 
@@ -126,8 +126,8 @@ impl SplitView {
 
     /// Returns `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm, gloss rgb,
     /// alpha]`. Light is radiance, normals are in display space, z is in millimetres. The gloss is
-    /// the reflectance of the base's lobes that depend on the viewer's direction. The smaller
-    /// squared roughness of base and coat is alpha; it is 0 for glass and for light that rays
+    /// the reflectance of the base's lobes that depend on the viewer's direction. Alpha is the
+    /// smaller squared roughness of base and coat; it is 0 for glass and for light that rays
     /// themselves see. With [further rays](Settings::has_further_rays) a second reflectance rgb and
     /// a second gloss rgb follow. Like the light, they are means over the paths alone.
     pub fn values(&self) -> &Tensor<3> {

@@ -94,9 +94,9 @@ fn the_report_is_true_and_means_and_edges_stay() {
         after += error(picture);
         let truth = 0.5 * (mean(&a) + mean(&b));
         assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
-        // Test the two columns on either side of both edges. In the middle view the edges are
-        // between two columns. In the other views the edges pass through pixels. Four samples of a
-        // pixel locate such an edge only roughly, so the tolerance is large.
+        // Test the two columns on either side of both edges. In the middle view both edges are
+        // between two columns. In the other views the edge of the colours passes through pixels.
+        // Four samples of a pixel locate such an edge only roughly, so the tolerance is large.
         for col in [POLE - 2, POLE - 1, POLE, POLE + 1, COLOUR - 2, COLOUR - 1, COLOUR, COLOUR + 1] {
             let (found, truth) = (column(picture, col), 0.5 * (column(&a, col) + column(&b, col)));
             assert!((found / truth - 1.0).abs() < 0.15, "view {view:?}, column {col}: {found} instead of {truth}");
@@ -249,8 +249,8 @@ fn reflections_of_rough_metal_are_shared() {
 }
 
 /// Under a sky of radiance 1 the pictures are known. A wall of two colours has the radiance of its
-/// albedo. A mirror between the colours, and a pole, have the radiance 1. The pole moves in front
-/// of the wall from view to view.
+/// albedo. White metal between the colours, and a glowing pole, have the radiance 1. The edges of
+/// metal and pole are inside of pixels.
 #[test]
 fn further_paths_do_no_harm_where_views_share_no_light() {
     const POLE_X: [f32; 2] = [-0.13, 0.12];
@@ -304,8 +304,8 @@ fn further_paths_do_no_harm_where_views_share_no_light() {
     let [alone, shared, further] = [errors(false, false), errors(false, true), errors(true, true)];
     println!("{alone:?} {shared:?} {further:?}");
     assert!(shared[0] < 0.7 * alone[0] && further[0] < 0.7 * shared[0], "{alone:?} {shared:?} {further:?}");
-    // The values of a pixel at an edge spread by at most 0.4 for one sample, and 0.2 for four. So
-    // the mean of 64 pixels has a standard error of at most 0.025.
+    // At an edge, a sample has a standard deviation of at most 0.4, and the mean of a pixel's four
+    // samples 0.2. So the mean of 64 pixels has a standard error of at most 0.025.
     assert!(further[1] < shared[1].min(0.05), "{alone:?} {shared:?} {further:?}");
 }
 
@@ -330,7 +330,8 @@ fn further_rays_smooth_edges_and_keep_means() {
 /// Asserts that shared pictures of many seeds have the mean of a reference, and that the pictures
 /// are the same with any number of threads.
 fn assert_means_and_bytes(renderer: &Renderer, geometry: &FieldGeometry, settings: &Settings, truth: &Tensor<3>) {
-    // The tolerance is four standard errors, plus the error of the nearest pixel in other views.
+    // The tolerance is four standard errors, plus 0.5 % since light is read at the nearest pixel of
+    // other views.
     let means = (0..24).map(|seed| {
         let (_, shared) = split_and_shared(renderer, geometry, &Settings { seed, ..*settings });
         mean(&shared[1])
@@ -348,8 +349,8 @@ fn assert_means_and_bytes(renderer: &Renderer, geometry: &FieldGeometry, setting
     }
 }
 
-/// With sparse paths and one sample, four pixels on one surface have the light of one path. Pixels
-/// at edges keep their own paths. The mean stays the same.
+/// With sparse paths and one sample, four pixels on one surface have the light of one path. With
+/// more samples, their light differs. The mean stays the same.
 #[test]
 fn sparse_paths_are_shared_on_one_surface() {
     let (renderer, geometry) = (room(), geometry());
@@ -369,7 +370,7 @@ fn sparse_paths_are_shared_on_one_surface() {
         let sparse = Settings { samples, further_rays, seed: 4, sparse_paths: true, ..Settings::default() };
         assert_means_and_bytes(&renderer, &geometry, &sparse, &truth);
         let views = split_and_shared(&renderer, &geometry, &sparse).0;
-        // the whole wall is even, since its colours do not matter
+        // every group on the wall sees one surface: the colour changes between two groups
         for col in (POLE + 4..SIZE).step_by(2) {
             let same = rows().filter(|row| is_same(&views[1], col, *row)).count();
             assert_eq!(same, if samples == 1 { rows().count() } else { 0 }, "{samples} samples, column {col}");
@@ -377,8 +378,9 @@ fn sparse_paths_are_shared_on_one_surface() {
     }
 }
 
-/// Pixels with a path have light of a sky of radiance 1: a wall of two colours, whose edge is
-/// inside of groups, and a rough metal. Pixels without a path have the same light per reflectance.
+/// Sparse paths keep the mean of every column. Under a sky of radiance 1, a wall has two materials,
+/// and their edge is inside of groups. A pixel without a path gets the light of its group, divided
+/// by the group's reflectance and multiplied by the pixel's reflectance.
 #[test]
 fn lent_light_is_independent_of_reflectance() {
     const EDGE: usize = 31;
@@ -388,7 +390,7 @@ fn lent_light_is_independent_of_reflectance() {
     };
     let geometry = FieldGeometry { rows: 21, cols: 61, ..geometry() };
     let metal = Material { metallic: 1.0, roughness: 0.6, ..Material::default() };
-    // similar colours are lent to each other; black and white are not
+    // pixels of similar colours lend each other light; black and white pixels do not
     for [left, right] in [[diffuse(0.4), diffuse(0.8)], [diffuse(0.0), diffuse(0.8)], [diffuse(0.6), metal]] {
         let mut builder = Builder::default();
         builder.add(wall(-4.0, x(EDGE)), left).add(wall(x(EDGE), 4.0), right);
@@ -400,7 +402,8 @@ fn lent_light_is_independent_of_reflectance() {
             ..Settings::default()
         }) {
             let sums = |sparse_paths: bool| {
-                // eight seeds, so that a column has the paths of about 130 groups
+                // Eight seeds of three views give a column 504 pixels. With one sample, at least a
+                // quarter of them have a path.
                 let of_seed =
                     |seed| split_and_shared(&renderer, &geometry, &Settings { sparse_paths, seed, ..settings }).1;
                 let views: Vec<Tensor<3>> = (0..8).flat_map(of_seed).collect();
@@ -418,7 +421,7 @@ fn lent_light_is_independent_of_reflectance() {
     }
 }
 
-/// Where pixels see different surfaces, or a mirror, sparse paths are all paths.
+/// Where pixels of a group see different surfaces, or a mirror, sparse paths end no path.
 #[test]
 fn edges_and_mirrors_keep_their_paths() {
     let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);

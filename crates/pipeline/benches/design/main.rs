@@ -210,7 +210,10 @@ fn killing() -> Outcome {
     }
     for name in ["sweep.csv", "sweep.json"] {
         if std::fs::read(whole.join(name))? != std::fs::read(killed.join(name))? {
-            return Err(format!("{name}: expected the bytes of the first sweep, found others ({kills} kills)").into());
+            return Err(format!(
+                "{name}: expected the bytes of the uninterrupted sweep, found other bytes after {kills} kills"
+            )
+            .into());
         }
     }
     println!("100 designs, killed {kills} times: the table has the same bytes as without kills");

@@ -179,7 +179,7 @@ fn write_environment(scene: &Scene, folder: &Path) -> Outcome<Value> {
     let Some(environment) = scene.environment else { return Ok(Value::Null) };
     let image = &scene.images[environment.image];
     let Pixels::RgbF32(texels) = &image.pixels else {
-        return Err("expected an environment of floats, found a picture of codes".into());
+        return Err("expected an environment with floating-point pixels, found integer pixels".into());
     };
     let rgb: Vec<f32> =
         texels.iter().flat_map(|&[r, g, b]| (environment.strength * glam::Vec3::new(r, g, b)).to_array()).collect();

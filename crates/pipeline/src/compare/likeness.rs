@@ -169,7 +169,8 @@ mod tests {
     use super::*;
 
     /// A node finds the target of its run two folders above. Other runs must not read a folder
-    /// `target` there. The test damages the target's index, so an error shows that it was read.
+    /// `target` there. The test damages the target's index, so an error shows that the target was
+    /// read.
     #[test]
     fn only_a_node_has_the_target_of_the_run_around_it() {
         let folder = tempfile::tempdir().unwrap();

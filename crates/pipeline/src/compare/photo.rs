@@ -69,7 +69,8 @@ pub struct PhotoComparison {
 /// for the corners of the photograph.
 ///
 /// # Errors
-/// If the run or the photograph cannot be read, the pose does not fit, or the corners span no area.
+/// If the run or the photograph cannot be read, the corners are not those of a convex figure, or
+/// the focal length does not fit the corners. Also if all pixels are clipped or black.
 pub fn compare_photo(
     run: &Path,
     photo: &Path,

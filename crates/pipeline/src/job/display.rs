@@ -44,7 +44,8 @@ pub struct DisplayJob {
     /// Interpolation of a layer between its pixels' centres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sampling: Option<Sampling>,
-    /// Transmittance for a ray that goes past the edge of a layer.
+    /// Handling of a ray that misses a layer: `drop` (weight 0) or `clear` (as if the layer were
+    /// not there).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub missing: Option<Missing>,
 }

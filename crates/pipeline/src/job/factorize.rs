@@ -33,7 +33,7 @@ pub struct FactorizeJob {
     pub coarse_levels: Option<u32>,
     /// Number of iterations at each coarser level.
     pub coarse_iterations: u32,
-    /// If true, patterns of layers with few `bits` are optimized again, over the transmittances
+    /// If true, patterns of layers with the key `bits` are optimized again, over the transmittances
     /// that the panel can show.
     pub levels: bool,
     /// Tiles, [columns, rows], each 1 to 1000: the display is solved tile by tile, on one machine
@@ -41,11 +41,12 @@ pub struct FactorizeJob {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
     /// Memory of a solve, MiB, 1 to 16777216. The display is cut into more and more tiles, until
-    /// no tile needs more memory or tiles are as small as about 64 pixels. Not together with
-    /// `tiles`.
+    /// no tile needs more memory, or the longer side of a tile is below 128 pixels. Not together
+    /// with `tiles`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tile_mib: Option<u64>,
-    /// Folder `layers` of an earlier run, whose patterns are the start instead of `start`.
+    /// Folder `layers` of an earlier run. Its patterns are the initial patterns, and `start` has no
+    /// effect.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub warm_start: Option<PathBuf>,

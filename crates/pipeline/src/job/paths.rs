@@ -22,7 +22,7 @@ fn a_job_with_any_name_reads_back_the_same() {
     assert!(job.to_json()["scene"]["percent"].is_string());
 }
 
-/// Names on Windows may have surrogates without their pair.
+/// Names on Windows may contain UTF-16 surrogates that have no partner.
 #[cfg(windows)]
 #[test]
 fn a_job_with_any_name_reads_back_the_same() {

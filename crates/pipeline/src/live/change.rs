@@ -16,8 +16,9 @@ impl Job {
         self.with_all([(key, value)])
     }
 
-    /// Returns the job with other values of several keys, as [`with`](Self::with). Only the job
-    /// with all these values must be right. The last value of a key counts.
+    /// Returns the job with other values of several keys, as [`with`](Self::with). The job with all
+    /// these values must be valid. A job with only some of them may be invalid. If a key occurs
+    /// several times, its last value counts.
     ///
     /// # Errors
     /// As [`with`](Self::with).
@@ -90,7 +91,8 @@ mod tests {
     use super::*;
     use crate::DisplayJob;
 
-    /// The keys of a window are wrong one by one, and right together.
+    /// The key `window.width` is an error without `window.from = "given"`. A change of the two keys
+    /// together is valid.
     #[test]
     fn only_the_job_with_all_keys_must_be_right() {
         let job = Job { scene: Some("a.glb".into()), ..Job::new(DisplayJob::by_name_or_path("fig7-uniform")) };

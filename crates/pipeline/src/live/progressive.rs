@@ -165,7 +165,8 @@ impl View {
 
 /// Averages the values of two renders of a view. The render `new` has the weight `share`. If only
 /// one of the renders hits a surface at a pixel, the normal and depth of this render are kept. The
-/// smaller alpha is kept, since light of glass and of mirrors cannot be shared.
+/// smaller α (roughness²) is kept, since light of glass and of mirrors has a small α and cannot be
+/// shared.
 fn mean(before: SplitView, new: &SplitView, share: f32) -> SplitView {
     let mut values: Tensor<3> = before.values().clone();
     let parts = values.shape()[2];

@@ -26,7 +26,7 @@ pub(super) struct Disk {
     scored: u64,
     /// The filter of the traced views, and the settings of their paths.
     filter: (Denoise, Settings),
-    /// Bytes of a ray in the files of splats, and of the rays that hit nothing.
+    /// Bytes of a ray in two kinds of files: splats, and marks of the rays that hit nothing.
     other: u64,
     /// Bytes of a ray in the solver's files.
     solved: u64,
@@ -39,7 +39,8 @@ impl Disk {
         let target = rays(&geometry.grid);
         let is_capture = job.scene.as_deref().is_some_and(is_capture);
         let is_hidden = job.light.background != Background::Environment;
-        // if the number of paths will be measured, a view may have a single path and a further ray
+        // if a run will measure the number of paths, assume one path per pixel, since a pixel then
+        // also has a further ray, which makes the files larger
         let views = geometry.grid.iter().count();
         let samples = if job.render.samples_are_measured() { 1 } else { job.render.samples_of_view(views) };
         let settings = job.split_settings(Settings { samples, ..Settings::default() }, display);
@@ -77,8 +78,8 @@ impl Disk {
     }
 }
 
-/// Returns the disk space that steps need together: all that they leave, and the temporary files of
-/// one of them.
+/// Returns the disk space that steps need together, bytes: the files that all steps leave, and the
+/// temporary files of the step that has the most.
 pub(super) fn together(steps: impl Iterator<Item = [u64; 2]>) -> u64 {
     let [kept, temporary] = steps.fold([0, 0], |[kept, most], [left, own]| [kept + left, most.max(own)]);
     kept + temporary

@@ -90,7 +90,7 @@ pub(crate) fn note(plan: &Plan, registry: &Registry, new: Records) -> Result<(),
         return Ok(());
     }
     let sizes = sizes(plan);
-    // Steps of an older plan are dropped.
+    // Drop the records of steps that this plan does not have.
     let mut records: Records = read_json(&path).unwrap_or_default();
     let ids = plan.indices();
     records.retain(|id, _| ids.contains_key(id.as_str()));
@@ -284,7 +284,8 @@ struct Sizes {
     solver_times: f64,
     /// Number of paths of the measurement that chooses the number of samples.
     measured_paths: f64,
-    /// Time of a view's paths, as a multiple of the time of one path per sample.
+    /// Time of a view's paths, as a multiple of the time without further paths, further rays and
+    /// sparse paths.
     path_times: f64,
     memory: Memory,
     disk: Disk,
@@ -545,8 +546,8 @@ fn memory(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> u64 {
     sizes[step.part].as_ref().map_or(0, |sizes| bytes(step.kind, job, sizes))
 }
 
-/// Returns an upper bound of the memory of a step, bytes. For three things it is only a rough
-/// estimate: the search tree over a scene, a plugin's own data, and the pictures of an output.
+/// Returns an upper bound of the memory of a step, bytes. For three kinds of data it is only a
+/// rough estimate: the BVH of a scene, a plugin's own data, and the pictures of an output.
 fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     let (memory, threads) = (&sizes.memory, rayon::current_num_threads() as f64);
     // Memory of a scene as a multiple of the size of its file. The factor for splats is larger,
@@ -579,8 +580,8 @@ fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
 /// Measures the rate of a chain of operations on one thread in a few milliseconds, and multiplies
 /// it by the number of threads. A step of the chain is a shift, an exclusive or, and a
 /// multiplication. Each step needs the result of the step before, so all builds of the program
-/// take nearly the same time. Multiply-adds on vectors did not: builds with other optimizations
-/// took up to 60 times as long.
+/// take nearly the same time. For a chain of multiply-adds on vectors, builds with other
+/// optimizations took up to 60 times as long.
 ///
 /// The fastest of several short rounds counts, since other work may interrupt a round. Only one
 /// thread is measured, since rounds of all threads would be interrupted more often.

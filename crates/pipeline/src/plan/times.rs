@@ -167,8 +167,8 @@ impl Times {
         FactorizeJob { warm_start: layers, iterations: Some(iterations), coarse_levels: None, solver, ..first.clone() }
     }
 
-    /// Returns the settings of a time step whose content differs too much from the content of the
-    /// previous time step.
+    /// Returns the settings of a time step without a warm start, for content that differs too much
+    /// from the content of the previous time step.
     pub(crate) fn fresh(&self, job: &Job, node: Option<&NodeJob>) -> FactorizeJob {
         let first = node.and_then(|node| node.factorize.as_ref()).unwrap_or(&job.factorize);
         FactorizeJob { warm_start: None, iterations: Some(self.sequence.iterations), ..first.clone() }
@@ -378,7 +378,7 @@ mod tests {
         let corner = DVec3::new(200.0, 125.0, 10.0);
         assert!(
             (again.scene_from_display.point(corner) - half.scene_from_display.point(corner)).length() < 1e-12,
-            "a job says the same window"
+            "the keys of a job give the same window"
         );
     }
 }

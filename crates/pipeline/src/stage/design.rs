@@ -167,7 +167,8 @@ impl<'a> Solver<'a> {
             key.add_json("later times", &(self.later)(job));
         }
         if !self.job.nodes.is_empty() {
-            // The job's number decides if a node has all of its own iterations.
+            // Only if `iterations` is the job's number of iterations, each node has all iterations
+            // of its own settings; see `times`.
             key.add("nodes", self.nodes.as_bytes()).add_json("is whole", &(iterations == job.iterations()));
         }
         let name = format!("{}.json", &key.finish()[..24]);
@@ -237,8 +238,8 @@ impl<'a> Solver<'a> {
         let task = Task { progress: &NoProgress, warnings: &Silent, cancel };
         let own = of_node.and_then(|node| node.display.as_ref()).map(|display| display.resolve()).transpose()?;
         let factorize = of_node.and_then(|node| node.factorize.as_ref()).unwrap_or(&self.job.factorize);
-        // A search first solves designs with few iterations. Nodes have at most these iterations
-        // then, and otherwise their own.
+        // A search first solves designs with few iterations. In these solves, a node has at most
+        // this number of iterations. In all other solves, a node has its own number of iterations.
         let is_whole = iterations == self.job.factorize.iterations();
         let own_iterations = factorize.iterations();
         let iterations = if is_whole { own_iterations } else { iterations.min(own_iterations) };

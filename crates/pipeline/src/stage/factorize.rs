@@ -328,7 +328,7 @@ pub(crate) fn check_shapes(
 /// header of the weights and the index of the warm start.
 ///
 /// # Errors
-/// If a solver, start, device or file does not exist, or numbers of tiles are invalid.
+/// If a solver, start, device or file does not exist, or tiles or expected eyes are invalid.
 pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
     start_kind(&job.start)?;
     device::check(&job.device)?;

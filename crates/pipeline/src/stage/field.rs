@@ -42,7 +42,7 @@ pub(crate) struct Field {
 }
 
 impl Field {
-    /// Writes the folders of a shot's light fields, if their content changed.
+    /// Collects the light fields of a shot. Also writes their folders, if the content changed.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -159,7 +159,7 @@ pub(crate) fn field_defaults(display: &Display) -> GeometryDefaults {
 pub(crate) fn warn_of_depth(budget: &DepthBudget, task: Task<'_>) {
     if !budget.is_seen() {
         let message = "no surface is seen, so the picture is empty. Remedies: --look-from AZ,EL shows the scene from another side, --camera uses another \
-                       camera, and --near=off also shows surfaces in front of the near limit";
+                       camera, and --near=off also shows surfaces in front of the near plane";
         task.warn("window", message);
     }
     if let Some(advice) = budget.advice() {
@@ -264,7 +264,7 @@ pub(crate) fn field_key(name: &str, field: &LightField, info: &Map<String, Value
 }
 
 /// Returns the weights in the file that a job names, or else the weights of its expected eyes.
-/// Without both, weights are uniform.
+/// Without a file and without eyes, weights are uniform.
 ///
 /// # Errors
 /// If the file cannot be read, the weights do not match the light field, or the job has both a file

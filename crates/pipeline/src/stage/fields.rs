@@ -91,7 +91,7 @@ impl Shot<'_> {
                 }
                 other => other,
             },
-            // The report shows these views, and each is alone or one of few.
+            // Sparse paths suit only many views that share light; these light fields have few.
             sparse_paths: false,
             ..settings
         };

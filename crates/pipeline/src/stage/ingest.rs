@@ -186,7 +186,7 @@ pub fn load_scene(
 
 /// Crops and lights a scene that the caller made, by the rules of [`load_scene`]. The caller made
 /// the scene from `files`, and from `content`, which are data in memory. The scene's key contains
-/// hashes of both.
+/// hashes of `files` and of `content`.
 ///
 /// # Errors
 /// If a file cannot be read, or the scene cannot be rendered.
@@ -232,8 +232,8 @@ fn lit(
 ) -> Result<Ingested, PipelineError> {
     // Crop first, since removed splats emit no light.
     scene = crop::cropped(scene, pose, task)?;
-    // The environment of the job replaces the environment of the file, and has the job's strength
-    // already.
+    // The environment of the job replaces the environment of the file. The functions that make it
+    // also apply the job's strength.
     let mut has_own = light_job.environment.is_some();
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));

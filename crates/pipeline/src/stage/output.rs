@@ -1,4 +1,5 @@
-//! Output plugins. They are checked with the display before a run's work, and executed after it.
+//! Output plugins. A run checks them with the display before its work begins, and executes them
+//! when the patterns or the light field are finished.
 
 use std::path::{Path, PathBuf};
 

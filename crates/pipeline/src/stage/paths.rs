@@ -66,8 +66,8 @@ mod tests {
         // The equation n = V / (η D) of `samples.rs` gives 4.9 paths, which is rounded up to the
         // next allowed number, 6.
         assert_eq!(choose(4.9 * NOISE_SHARE * 2e-3, 2e-3, 169).per_view, 6);
-        // A display that is regarded as exact needs the paths of the error [`LEAST_ERROR`], and not
-        // more.
+        // A display that is regarded as exact needs as many paths as a display with the error
+        // `LEAST_ERROR`.
         assert_eq!(choose(2.9 * NOISE_SHARE * LEAST_ERROR, -1e-7, 169).per_view, 3);
         let limited = choose(1.0, 1e-3, 169);
         assert_eq!((limited.per_view, limited.limited), (18, true));

@@ -14,8 +14,8 @@ use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
 /// Reads the light field at `path` for a display. A light field that is larger than the job allows
-/// in memory is kept in an unnamed file in `folder`. Also returns views between the views that are
-/// kept, at most `report.zone_directions`.
+/// in memory is kept in an unnamed file in `folder`. Also returns views at `path` that the light
+/// field leaves out, at most `report.zone_directions`.
 ///
 /// # Errors
 /// If the light field cannot be read, or its geometry is incomplete.

@@ -188,7 +188,7 @@ impl References {
             .then(|| Self::of_pictures(geometry, views.map(|(grid, picture)| (grid, [picture.clone(), picture])), true))
     }
 
-    /// Returns references from the views of a light field that no solver has used.
+    /// Returns references made of all views of a light field. No solver may have used these views.
     pub fn views_of(field: &LightField) -> Self {
         let geometry = field.geometry();
         let views = geometry.grid.iter().map(|view| {

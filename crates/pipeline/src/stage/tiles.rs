@@ -42,8 +42,8 @@ const ROUNDS: usize = 4;
 /// Number of threads that estimates of memory assume. It is fixed, so that the cut into tiles does
 /// not depend on the machine.
 const THREADS: usize = 16;
-/// Minimum edge of a tile, pixels of the light field. A tile of this size is used even if it needs
-/// more memory than allowed.
+/// Minimum length of the longer side of a tile, pixels of the light field. If the longer side is
+/// below twice this length, a tile is not cut further, even if it needs more memory than allowed.
 const SMALLEST: usize = 64;
 
 /// The tiles and rounds of a solve.
@@ -103,8 +103,8 @@ impl Tiles {
     }
 }
 
-/// Cuts a display into more and more tiles, until each tile takes at most `most` bytes, or is about
-/// as small as [`SMALLEST`].
+/// Cuts a display into more and more tiles, until each tile takes at most `most` bytes, or the
+/// longer side of a tile is below 2 · [`SMALLEST`].
 fn fitting(display: &Display, geometry: &FieldGeometry, most: u64) -> Tiling {
     let mut tiles = [1, 1];
     loop {

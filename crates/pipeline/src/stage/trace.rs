@@ -129,8 +129,8 @@ fn trace_views(
             }
         }
     }
-    // Find once which light fields are filtered, since this reads all filtered views. A finished
-    // filter has removed the split views, so missing split views need no tracing.
+    // Find once which light fields are filtered, since the check reads all filtered views. A
+    // finished filter has removed the split views, so missing split views need no tracing.
     let finished: Vec<bool> = fields.iter().map(|field| denoise::is_finished(field, kind)).collect();
     let is_kept = |Todo { field, path, variance, .. }: &Todo| {
         let FieldJob { geometry, settings, .. } = &fields[*field];
@@ -151,7 +151,7 @@ fn trace_views(
         denoise::check(kind, job, shot.geometry)?;
     }
     // A disk that is full would end the rendering, so check its free space, too. A filter also
-    // needs space for its views, and for the shared light of one light field after another.
+    // needs space for its views, and for the shared light of one light field at a time.
     let of_todo = todo.iter().map(|todo| todo.bytes(&fields[todo.field], kind));
     let of_splats =
         fields.iter().zip(&splats).map(|(field, views)| space::SPLATS * field.pixels() * views.len() as u64);

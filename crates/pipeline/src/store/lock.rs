@@ -101,7 +101,8 @@ impl FolderLock {
     fn lock_as(dir: &Path, file: &'static str, hold: Hold, task: Task<'_>) -> Result<Self, PipelineError> {
         let cache = dir.join("cache");
         let made: Vec<PathBuf> = cache.ancestors().take_while(|path| !path.exists()).map(Path::to_path_buf).collect();
-        // Do not remove a folder that several processes share.
+        // When the lock is dropped, it may remove the folders in `made`. So leave out folders that
+        // several processes share.
         let made = if hold == Hold::Shared { Vec::new() } else { made.into_iter().rev().collect() };
         let mut owned = Self { lock: None, cache: cache.clone(), file, hold, made };
         let path = cache.join(file);

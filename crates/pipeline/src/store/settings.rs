@@ -21,7 +21,7 @@ pub(crate) fn write_job(job: &Job, dir: &Path) -> Result<(), PipelineError> {
             *path = absolute;
         }
     }
-    // An axis of a sweep names files and presets. A path that is not UTF-8 cannot occur here.
+    // `sweep.displays` has files and presets as texts, so its paths are UTF-8.
     let folder = job.folder.clone();
     for name in job.sweep.iter_mut().flat_map(|sweep| &mut sweep.displays) {
         if let Some(file) = DisplayJob::by_name_or_path(&*name).file

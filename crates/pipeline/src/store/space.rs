@@ -22,7 +22,7 @@ pub(crate) fn traced(filter: Denoise, settings: &Settings) -> u64 {
 /// Checks that the disk of a folder has room for `bytes` of views.
 ///
 /// # Errors
-/// If it has not. A disk whose free space is not known is not checked.
+/// If the disk has less free space. A disk whose free space is not known is not checked.
 pub(crate) fn check(folder: &Path, bytes: u64) -> Result<(), PipelineError> {
     // some file systems do not know their size, and report 0
     match fs4::statvfs(folder).ok().filter(|disk| disk.total_space() > 0).map(|disk| disk.available_space()) {

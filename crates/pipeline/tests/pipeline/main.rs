@@ -1,6 +1,6 @@
-//! Plans and scenes go through the whole pipeline. All test files are one program, so that they
-//! share the processors. `cargo test -p lumistack-pipeline --test pipeline compose::` runs the
-//! tests of one file.
+//! Plans and scenes go through the whole pipeline. All test files are one program, so that the
+//! tests of all files run in parallel. `cargo test -p lumistack-pipeline --test pipeline compose::`
+//! runs the tests of one file.
 
 mod captures;
 mod compose;

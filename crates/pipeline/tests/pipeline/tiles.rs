@@ -122,8 +122,9 @@ impl Progress for StopsAt<'_> {
     fn end(&self) {}
 }
 
-/// A black light field has exact patterns, whose PSNR is infinite. The patterns of layers with few
-/// bits are reused, are joined from tiles, and leave no results of tiles behind.
+/// A black light field has exact patterns, whose PSNR is infinite. A second run must reuse such
+/// patterns of layers with few bits, also if they were solved in tiles. After the runs, no results
+/// of tiles are left.
 #[test]
 fn exact_patterns_with_few_bits_are_kept() {
     let (registry, folder) = (Registry::built_in().unwrap(), tempfile::tempdir().unwrap());

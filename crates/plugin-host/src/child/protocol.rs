@@ -3,7 +3,7 @@
 //! A message is a frame of four parts. They are the length of the head (u32), the length of the
 //! body (u64), the head as JSON, and the body. The lengths are little-endian. The body is bytes of
 //! a file, a plane of `f32` in native byte order, or a text that may be invalid UTF-8. Real numbers
-//! are sent as their bits.
+//! are sent as their bits, so that all of them, NaN included, arrive unchanged.
 
 use std::io::{self, Read, Write};
 

@@ -79,7 +79,8 @@ impl Lending {
         let mut out = Vec::new();
         let all = self.all();
         let Some(lent) = all.get(&HOST) else {
-            (answer.status, answer.text) = (Status::FAILED.0, "the output is already closed".into());
+            (answer.status, answer.text) =
+                (Status::FAILED.0, "the plugin called the host after the host's services had ended".into());
             return (answer, out);
         };
         // SAFETY: the lock keeps the table alive.

@@ -28,7 +28,7 @@ const TICK: Duration = Duration::from_millis(20);
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time to read the last messages and prints of a child that has ended.
 const DRAIN_TIMEOUT: Duration = Duration::from_millis(300);
-/// Number of the last bytes of the plugin's prints that are kept for error messages.
+/// Number of bytes kept, for error messages, from the end of the text that the plugin prints.
 const KEPT_BYTES: usize = 16 << 10;
 /// Largest number of files that an error message names.
 const MAX_FILES: usize = 3;
@@ -124,8 +124,8 @@ impl std::ops::Deref for Owner {
 
 impl Drop for Owner {
     fn drop(&mut self) {
-        // The plugin may use the objects that the host lends only while this output exists.
-        // `all_mut` waits until no request uses the objects, which are then removed.
+        // From here, the plugin must not use the objects that the host has lent. `all_mut` waits
+        // until no request uses these objects; then they are removed.
         self.lending.all_mut().clear();
         self.shut_down();
     }
@@ -142,7 +142,7 @@ pub(super) struct Session {
     state: Mutex<State>,
     /// Objects lent to the child's running calls.
     lending: Lending,
-    /// The last bytes that the plugin printed, and whether its prints have ended.
+    /// The last bytes that the plugin printed, and whether it has closed its outputs.
     printed: Mutex<(Vec<u8>, bool)>,
 }
 

@@ -238,7 +238,7 @@ unsafe extern "C" fn field_view(
         let [views_y, views_x, rows, cols, channels] = field.radiance().shape();
         if view_y >= views_y || view_x >= views_x {
             return Err(PluginError::Refused(format!(
-                "{}: expected a row below {views_y} and a column below {views_x}",
+                "{}: expected a row of views below {views_y} and a column of views below {views_x}",
                 what()
             )));
         }
@@ -281,7 +281,7 @@ unsafe extern "C" fn stack_layer(
         let what = || format!("layer {layer}, frame {frame}");
         if layer >= stack.layers.len() || frame >= *frames {
             let text = format!(
-                "{}: expected an index of a layer less than {} and an index of a frame less than {frames}",
+                "{}: expected a layer index below {} and a frame index below {frames}",
                 what(),
                 stack.layers.len()
             );
@@ -318,7 +318,7 @@ unsafe extern "C" fn stack_emission(
         };
         if frame >= *frames || bin_y >= bins[0] || bin_x >= bins[1] {
             return Err(PluginError::Refused(format!(
-                "{}: expected a frame below {frames} and a bin [y, x] below {bins:?}",
+                "{}: expected a frame index below {frames} and bin indices [y, x] below {bins:?}",
                 what()
             )));
         }

@@ -111,7 +111,7 @@ impl Plugin {
                 "the plugin must be rebuilt"
             };
             return Err(PluginError::Refused(format!(
-                "expected a plugin for version {ABI_MAJOR}.{ABI_MINOR} of the plugin interface (ABI), found a plugin for version {major}.{minor}: {remedy}"
+                "expected a plugin for version {ABI_MAJOR}.{ABI_MINOR} of the plugin interface (ABI), found a plugin for version {major}.{minor}; {remedy}"
             )));
         }
         if size < size_of::<Descriptor>() {

@@ -14,7 +14,7 @@ use crate::serve::lend;
 /// Severity of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogLevel {
-    /// An operation failed, and the plugin continues without it.
+    /// An operation failed, and the plugin continues without its result.
     Error,
     /// A warning for the user.
     Warn,

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use lumistack_plugin_host::{Launcher, PluginPaths};
 
-/// Runs in a second process of this program, when a test interrupts a program or reads its screen.
+/// Runs only in a second process of this test program. `lumistack_testkit::console` starts that
+/// process to send Ctrl-C to a program, or to read the text that a program writes to a console.
 #[cfg(windows)]
 #[test]
 fn helps() {

@@ -123,7 +123,7 @@ fn names_and_places_are_checked() {
     assert!(missing.starts_with("expected a plugin or a folder of plugins that can be read: "), "{missing}");
     let empty = folder.path().join("release");
     fs::create_dir(&empty).unwrap();
-    let expected = format!("expected files named like `{}`, found none: `cargo build --release` ", file_name("*"));
+    let expected = format!("expected files named like `{}`, found none; `cargo build --release` ", file_name("*"));
     assert!(failure(&empty).starts_with(&expected), "{}", failure(&empty));
     // A renamed library keeps its plugin's id, since ids come from the exported functions.
     let renamed = folder.path().join(file_name("other"));
@@ -209,7 +209,7 @@ fn libraries_of_other_versions_are_recognized() {
     assert_eq!(
         message("newer", ABI_MAJOR + 1, 4, 200, "4, 4, TEXTS, 0"),
         format!(
-            "expected a plugin for version {ABI_MAJOR}.{ABI_MINOR} of the plugin interface (ABI), found a plugin for version {}.4: the plugin needs a newer version of this program",
+            "expected a plugin for version {ABI_MAJOR}.{ABI_MINOR} of the plugin interface (ABI), found a plugin for version {}.4; the plugin needs a newer version of this program",
             ABI_MAJOR + 1
         )
     );

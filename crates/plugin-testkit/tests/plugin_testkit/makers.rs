@@ -261,14 +261,8 @@ fn pieces_that_do_not_fit_are_refused_where_they_are_given() {
         ("[]", "the plugin did not give layer 0, frame 0"),
         ("[[0, 0, 3, 0.5]]", "the plugin did not give layer 0, frame 1"),
         ("[[0, 0, 3, 0.5], [0, 0, 3, 0.5]]", "layer 0, frame 0 was already given"),
-        (
-            "[[1, 0, 3, 0.5]]",
-            "layer 1, frame 0: expected an index of a layer less than 1 and an index of a frame less than 2",
-        ),
-        (
-            "[[0, 2, 3, 0.5]]",
-            "layer 0, frame 2: expected an index of a layer less than 1 and an index of a frame less than 2",
-        ),
+        ("[[1, 0, 3, 0.5]]", "layer 1, frame 0: expected a layer index below 1 and a frame index below 2"),
+        ("[[0, 2, 3, 0.5]]", "layer 0, frame 2: expected a layer index below 1 and a frame index below 2"),
         ("[[0, 0, 2, 0.5]]", "layer 0, frame 0: expected a plane of shape [3, 4, 3], found [2, 4, 3]"),
         ("[[0, 0, 3, -0.5]]", "layer 0, frame 0: expected values in 0..1, found -0.5"),
     ] {

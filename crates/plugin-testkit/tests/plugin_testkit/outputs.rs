@@ -203,7 +203,8 @@ fn files_outside_or_written_twice_are_refused() {
 fn a_host_that_is_kept_after_the_end_gives_errors() {
     write("steal host", &MemoryHost::new(), &samples()[0]).unwrap();
     let host = STOLEN.lock().unwrap().take().unwrap();
-    assert_eq!(host.write("late.txt", b"x"), Err(PluginError::Failed("the output is already closed".into())));
+    let late = "the plugin called the host after the host's services had ended";
+    assert_eq!(host.write("late.txt", b"x"), Err(PluginError::Failed(late.into())));
     assert!(host.is_cancelled());
     host.warn("a warning after the end");
 }

@@ -73,6 +73,7 @@ fn ranks() -> Vec<usize> {
 #[derive(Clone)]
 struct Pattern {
     has: Vec<bool>,
+    /// The energy of every position, row by row.
     tightness: Vec<f64>,
     /// The energy that a dot at (0, 0) adds at every position, row by row.
     dot: Vec<f64>,

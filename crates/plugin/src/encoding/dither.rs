@@ -2,8 +2,9 @@
 //!
 //! Let two neighbouring codes emit the light l₀ and l₁, and a value v lie between them: l₀ ≤ v <
 //! l₁. Then the fraction t = (v − l₀)/(l₁ − l₀) of the pixels with this value gets the brighter
-//! code. So the mean *light* is exact for any transfer function. A threshold map selects these
-//! pixels, or error diffusion in linear light (Floyd and Steinberg, 1976; serpentine rows).
+//! code. So the mean *light* is exact for any transfer function. These pixels are selected by a
+//! threshold map, or by error diffusion in linear light (Floyd and Steinberg, 1976; serpentine
+//! rows).
 
 use lumistack_display::Transfer;
 use serde::Deserialize;
@@ -25,8 +26,8 @@ pub enum Dither {
 }
 
 /// Returns the codes 0..2^bits − 1 of linear values in 0..1, `[row][col][rgb]`. `size` is [rows,
-/// cols], `bits` is 1 to 16. Threshold maps are shifted by the number `pattern` and by channel, so
-/// that the dots of different layers and frames are uncorrelated.
+/// cols], `bits` is 1 to 16. The shift of a threshold map depends on the number `pattern` and on
+/// the channel, so that the dots of different layers and frames are uncorrelated.
 ///
 /// # Panics
 /// If the length of `rgb` does not match `size`, or `bits` is out of range.
@@ -102,14 +103,13 @@ impl ThresholdMap {
     }
 
     /// Returns the shift of the map, [rows, columns]. Every channel of a pattern has its own number
-    /// `n`. For a Bayer map, the shifts
-    /// for n and n + 1 exchange the two halves of a checkerboard. For a blue-noise map, the shifts
-    /// are spread evenly over the map.
+    /// `n`. For a Bayer map, the shifts for n and n + 1 exchange the two halves of a checkerboard.
+    /// For a blue-noise map, the shifts are spread evenly over the map.
     fn shift(&self, n: usize) -> [usize; 2] {
         if self.side < BLUE_NOISE_SIDE {
             return [3 * n, 2 * n];
         }
-        // The numbers are 1/g and 1/g², where g is the real root of g³ = g + 1. The fractional
+        // These constants are 1/g and 1/g², where g is the real root of g³ = g + 1. The fractional
         // parts of n/g and n/g² are evenly spread.
         [0.754_877_666_246_692_7, 0.569_840_290_998_053_2]
             .map(|step: f64| ((n as f64 * step).fract() * self.side as f64) as usize)

@@ -105,8 +105,8 @@ impl Shown {
         }
     }
 
-    /// Encodes the pictures of one comparison, reduced by `factor`. `count` is the number of all
-    /// comparisons.
+    /// Encodes the pictures of one comparison, reduced by `factor`. The encoding depends on the
+    /// number of pixels of `count` such comparisons.
     pub(super) fn compare(&self, amplification: u32, factor: usize, count: usize) -> Result<Comparison, ReportError> {
         let simulated = self.simulated.shrunk(factor).encoded();
         let (rows, cols) = (self.simulated.rows, self.simulated.cols);

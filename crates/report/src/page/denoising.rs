@@ -36,8 +36,8 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
                 ". The value after ± is a standard error."
             }
             div class="compare three group" {
-                (figure(&before, "The middle view as rendered", "As rendered, unbiased"))
-                (figure(&after, "The middle view filtered", "Filtered"))
+                (figure(&before, "The central view as rendered", "As rendered, unbiased"))
+                (figure(&after, "The central view filtered", "Filtered"))
                 (figure(&taken, "Change by the filter", &format!("Filtered − as rendered, × {gain}: structure other than noise is detail that the filter removed")))
             }
             (legend(&DIVERGING, &[format!("≤ −{end} darker than rendered"), "0".into(), format!("≥ +{end} brighter")]))

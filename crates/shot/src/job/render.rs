@@ -266,11 +266,12 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
-    /// Bytes of memory per ray by which a light field is held in memory or not. It is more than a
-    /// ray needs: 28 while light is shared, and two copies of three channels as `f32` while
+    /// Memory of a light field per ray, in bytes, as [`is_held`](Self::is_held) assumes it. A ray
+    /// needs less: 28 bytes while light is shared, and two copies of three channels as `f32` while
     /// patterns are solved.
     pub const BYTES_PER_RAY: u64 = 32;
-    /// Smallest number of views that have sparse paths. Fewer views average too few paths.
+    /// Smallest number of views of a light field whose paths are
+    /// [sparse](Settings::sparse_paths). A mean over fewer views would contain too few paths.
     const MANY_VIEWS: usize = 25;
     /// Greatest number of rays for which a display chooses its views: 625 views of 840 × 525
     /// pixels. More would take hours.

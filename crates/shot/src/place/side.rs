@@ -11,9 +11,9 @@
 //! A is the visible area in squared scene units. A face adds its area times the cosine of its
 //! slant, and a face that is culled from behind adds nothing. So A prefers directions that surfaces
 //! face. The front stays unless another direction shows more than eight times as much; captures
-//! have another limit, `CAPTURE_SHARE`. Otherwise the choice is the first candidate that shows
-//! nearly the largest area. The order of the candidates begins at the front: all elevations at
-//! azimuth 0°, then all elevations at 45°, and so on.
+//! have another limit, `CAPTURE_SHARE`. If the front does not stay, the choice is the first
+//! candidate that shows nearly the largest area (`ENOUGH`). The order of the candidates begins at
+//! the front: all elevations at azimuth 0°, then all elevations at 45°, and so on.
 
 use glam::{DVec3, Vec3};
 use lumistack_core::Task;

@@ -1,5 +1,5 @@
-//! The window through which the display looks at a scene: given by numbers, by a camera, or framed
-//! on the visible scene.
+//! The window, the rectangle of the scene that the display plane shows: given by numbers, by a
+//! camera, or framed on the visible scene.
 //!
 //! A camera without a focus distance has its window at the centre of the scene's bounds, if the
 //! centre's distance is nearly d*. Otherwise the window is at the distance d*:
@@ -35,12 +35,13 @@ const CLOSEST: f64 = 0.58;
 const PROBE_COLS: usize = 336;
 /// Largest number of columns at which the camera's picture is traced for the distances of surfaces.
 const FOCUS_COLS: usize = 210;
-/// Fraction of the picture that the nearest surfaces must cover to have their full weight. Smaller
-/// things, such as a blade of grass in front of the lens, count as if they were farther away.
+/// The nearest surfaces have their full weight if they cover at least this fraction of the pixels
+/// that show a surface. Smaller things, such as a blade of grass in front of the lens, count as if
+/// they were farther away.
 const STRAY: f64 = 0.02;
 /// The window is at the centre of the bounds if the centre's distance differs from d* by at most
-/// this factor. The bounds also hold content that the camera does not see, so they suit compact
-/// scenes.
+/// this factor. The bounds also hold content that the camera does not see, so their centre suits
+/// only compact scenes.
 const CENTRED: f64 = 1.5;
 /// Content is far if its distance from the camera exceeds the window's distance by this factor.
 const FAR: f64 = 10.0;
@@ -186,8 +187,8 @@ impl Seen {
     }
 }
 
-/// Returns the distance d* of a camera without focus, and warns of content that is far behind it.
-/// `None` if the camera sees no surface, or if the centre of the bounds is nearly at this distance.
+/// Returns the distance d* for a camera without a focus distance, and warns of content far behind
+/// d*. `None` if the camera sees no surface, or if the centre of the bounds is nearly at d*.
 fn focus<S: Subject>(
     subject: &S,
     camera: &Camera,
@@ -378,8 +379,8 @@ mod tests {
         LitScene::new(Arc::new(parts.validate(task).unwrap()), task).unwrap()
     }
 
-    /// A wrong distance of the job must not replace the file's camera by a frame, and a distance
-    /// without a camera must be reported.
+    /// A negative focus distance in the job must be an error, and must not lead to a framed window.
+    /// A focus distance for a scene without a camera must cause a warning.
     #[test]
     fn the_focus_distance_of_a_job_has_its_effect_or_a_message() {
         let (warnings, cancel) = (Collector::default(), Cancel::default());

@@ -47,8 +47,8 @@ struct Part {
     files: Vec<String>,
 }
 
-/// Reads a codebook. Some files have null as its first number. The number then continues the other
-/// numbers c by a mean step, c₁ + (c₁ − c₂₅₅) / 255, as in the engine PlayCanvas.
+/// Reads a codebook. Some files have null as the first number c₀. Then c₀ lies about one mean
+/// step below c₁: c₀ = c₁ + (c₁ − c₂₅₅) / 255, as in the engine PlayCanvas.
 fn codebook<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<f32>, D::Error> {
     let mut book = Vec::<Option<f32>>::deserialize(deserializer)?;
     if let [first @ None, Some(next), .., Some(last)] = book.as_mut_slice() {

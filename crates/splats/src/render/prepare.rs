@@ -122,8 +122,9 @@ fn middle(geometry: &FieldGeometry) -> [f64; 2] {
 
 /// Returns two eyes that have the smallest and the largest coordinates of all eyes.
 ///
-/// The bounds of a projected splat are the sum of a linear and a convex function of each coordinate
-/// of the eye. So the bounds of these two projections contain the projections into all views.
+/// The centre of a projected splat is a linear function of each coordinate of the eye, and its
+/// extent is a convex function. So the bounds of these two projections contain the projections into
+/// all views.
 pub(crate) fn ends(eyes: &[Eye]) -> Vec<Eye> {
     let both = |of: fn(f32, f32) -> f32| {
         eyes.iter().copied().reduce(|a, b| match (a, b) {

@@ -20,7 +20,10 @@ const PER_ROW: usize = 64;
 /// compressor fails.
 pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
     if cloud.is_empty() || (cloud.degree > 0 && cloud.len() > MOST) {
-        let expected = format!("SOG: expected 1 to {MOST} splats with harmonics, found {}", cloud.len());
+        let expected = format!(
+            "SOG: expected at least one splat, and at most {MOST} if harmonics exceed degree 0, found {}",
+            cloud.len()
+        );
         return Err(Error::new(ErrorKind::InvalidInput, expected));
     }
     let side = (cloud.len() as f64).sqrt().ceil() as u32;

@@ -8,7 +8,7 @@
 //! Catmull–Clark   position  (n v + Σ (4 e + f)/n) / (n + 5)
 //!                 tangents  Σ A cos(2πi/n) e_i + (cos(2πi/n) + cos(2π(i + 1)/n)) f_i; also sin
 //!                           A = 1 + cos(2π/n) + cos(π/n) √(2 (9 + cos(2π/n)))
-//! Loop            position  ((3/8w) v + Σ e) / (3/8w + n)
+//! Loop            position  (3/(8w) v + Σ e) / (3/(8w) + n)
 //!                 tangents  Σ cos(2πi/n) e_i; also sin
 //! creases, boundaries       (e₀ + 4 v + e₁)/6
 //! ```
@@ -158,8 +158,7 @@ fn crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -
 
 /// Returns the normal on one side of a crease of triangles (Hoppe et al. 1994). The side has k
 /// faces, and its edges end at e₀ to e_k; θ is π/k. The tangent across the crease is −sin θ (e₀ +
-/// e_k) + (2 − 2 cos θ) Σ sin iθ e_i. If the side has fewer than four faces, the weights are
-/// special.
+/// e_k) + (2 − 2 cos θ) Σ sin iθ e_i. If the side has fewer than four faces, other weights apply.
 fn triangle_crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -> DVec3) -> DVec3 {
     let points: Vec<DVec3> = spokes(topology, fan).into_iter().map(&at).collect();
     let here = at(vertex);

@@ -90,8 +90,8 @@ const MOST_TRIANGLES: usize = 200_000;
 /// Number of levels for a mesh of few faces, whose outline would still show corners after [`LEVEL`]
 /// levels.
 const SPARSE_LEVEL: u32 = 4;
-/// Largest number of triangles of a mesh that is refined by more than [`LEVEL`] levels, after its
-/// refinement.
+/// Largest number of triangles after the refinement, for a mesh that is refined by more than
+/// [`LEVEL`] levels.
 const SPARSE_TRIANGLES: usize = 8_000;
 
 /// Returns the number of levels for a mesh whose faces have `corner_count` corners in total.

@@ -97,7 +97,7 @@ fn a_cube_has_the_points_of_the_textbook() {
         assert!((face.length() - 1.0).abs() < ROUNDING);
     }
     // On the limit surface, the corners are at half of their coordinates. The centres of faces have
-    // the distance 68/81 from the middle. Neither value depends on the level.
+    // the distance 68/81 from the cube's centre. Neither value depends on the level.
     for level in 1..=4 {
         let surface = limit(&cage, level, &cube.flat());
         for (point, on_surface) in cube.points.iter().zip(&surface) {
@@ -536,7 +536,7 @@ fn levels_stop_at_the_budget() {
     assert_eq!(affordable_level(4000, 2, 7_999), 0);
     assert_eq!(affordable_level(usize::MAX, 9, 200_000), 0);
     assert_eq!(affordable_level(0, 3, 0), 3);
-    // The first three meshes have 24 corners (a cube), one corner more than level 4 allows, and
-    // 4000 corners (1000 quadrilaterals). The last three meshes are dense.
+    // The first three meshes have 24 corners (a cube), 63 corners (one more than level 4 allows),
+    // and 4000 corners (1000 quadrilaterals). The last three meshes are dense.
     assert_eq!([24, 63, 4000, 25_000, 30_000, 200_000].map(level_for), [4, 3, 2, 2, 1, 0]);
 }

@@ -151,7 +151,7 @@ impl Channels for Vec<[u8; 4]> {
 
 #[test]
 fn colour_spaces_scale_and_bias_act_in_linear_light() {
-    // raw codes in a slot of colour are encoded again
+    // a slot of colour stores sRGB codes, so the linear values of a raw picture are encoded
     let (scene, material, _) = preview(json!({"diffuseColor": texture(&[0, 1, 2], 1.0, 0.0, "raw")}));
     let expected = lumistack_core::colour::srgb_code(0.4);
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture)[1][1], expected);

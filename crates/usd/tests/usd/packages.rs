@@ -102,7 +102,7 @@ fn a_package_becomes_a_scene() {
     assert_eq!(scene.cameras[0].focus_distance, Some(2.0));
 }
 
-/// A subset of an older mesh may list many faces that the mesh lacks.
+/// A subset that was made for an older version of a mesh may list many faces that the mesh lacks.
 #[test]
 fn faces_that_a_mesh_lacks_are_one_warning() {
     let (mut header, mut data) = sample();

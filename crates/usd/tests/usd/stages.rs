@@ -219,7 +219,8 @@ fn point_instancers_place_scale_turn_and_mask() {
     assert_eq!(scene.meshes.len(), 2);
 }
 
-/// The stage has no start time code, so the time of the first sample is unknown here.
+/// Positions are interpolated between their samples at the time codes 12 and 36, and velocities are
+/// ignored. Since the stage has no start time code, the time `None` reads the first sample.
 #[test]
 fn velocities_of_point_instancers_have_no_effect() {
     if common::python().is_none() {

@@ -72,7 +72,7 @@ impl Gpu {
         let taps = [texture(&gl, Gl::TEXTURE_2D)?, texture(&gl, Gl::TEXTURE_2D)?];
         if gl.get_error() == Gl::OUT_OF_MEMORY {
             return Err(err(
-                "WebGL2: expected memory for all patterns, found too little; with ?renderer=cpu in the page's address the processor draws",
+                "WebGL2: expected memory for all patterns, found too little. Add ?renderer=cpu to the page's address, so that the processor draws",
             ));
         }
         let gpu = Self { gl, display, layers, emission, taps };
@@ -244,7 +244,7 @@ fn check_limits(gl: &Gl, model: &Model) -> Result<(), Error> {
         if needed > limit(name) {
             let found = limit(name);
             return Err(err(format!(
-                "WebGL2: expected a limit of at least {needed} {what}, found a limit of {found}; with ?renderer=cpu in the page's address the processor draws"
+                "WebGL2: expected a limit of at least {needed} {what}, found a limit of {found}. Add ?renderer=cpu to the page's address, so that the processor draws"
             )));
         }
     }

@@ -33,7 +33,7 @@ vec3 read(sampler2DArray layer, vec4 x, vec4 y, int slice) {
     if (x[N].x < 0.0 || y[N].x < 0.0) { counts = counts && !dropped; } \
     else { met JOIN black + (1.0 - black) * read(LAYER, x[N], y[N], slice); }
 
-// Light of a part of a pixel times its area, and the area; all 0 if the part's ray is left out.
+// rgb: light of a pixel's part times the part's area; a: the area. 0 if the part's ray is left out.
 vec4 part_of(ivec2 at, ivec2 table) {
     // where the ray hits, alike in all frames
     vec4 x[LAYERS + DIRECTIONAL], y[LAYERS + DIRECTIONAL];

@@ -48,7 +48,10 @@ fn views_that_share_a_frame_share_its_picture() {
 fn other_displays_are_refused() {
     let display = Display { frames: 7, ..display(6) };
     let error = made_by(&PLUGIN, "{}", &display, &random_field(&display).unwrap()).unwrap_err();
-    assert!(matches!(&error, PluginError::Refused(text) if text.contains("directions, 6, found 7")), "{error:?}");
+    assert!(
+        matches!(&error, PluginError::Refused(text) if text.contains("expected at most 6 frames, one per direction of the backlight, found 7")),
+        "{error:?}"
+    );
     let uniform = Display { backlight: Backlight::Uniform, ..display };
     assert!(made_by(&PLUGIN, "{}", &uniform, &random_field(&uniform).unwrap()).is_err());
 }

@@ -6,8 +6,8 @@ use lumistack_plugin::display::Homography;
 /// A camera that photographs the plane z = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// Maps millimetres on the plane to the undistorted photograph. There the origin is the
-    /// photograph's centre, the unit is half its diagonal, and y points down.
+    /// Maps millimetres on the plane to the undistorted photograph. In the photograph, the origin
+    /// is the centre, the unit is half the diagonal, and y points down.
     pub homography: Homography,
     /// Radial distortion k₁, k₂: a point at radius r moves to r · (1 + k₁ r² + k₂ r⁴).
     pub distortion: [f64; 2],
@@ -15,7 +15,8 @@ pub struct Camera {
     unit_px: f64,
 }
 
-/// Largest number of iterations. The fit ends earlier if an iteration brings nearly no improvement.
+/// Largest number of iterations of the fit, which ends earlier after an iteration with nearly no
+/// improvement.
 const STEPS: usize = 60;
 /// Number of fixed-point iterations that remove the distortion. For the distortion of real lenses,
 /// each iteration at least halves the error.
@@ -151,7 +152,7 @@ impl Camera {
 
 /// Returns the homography that maps the first point of each pair to the second, by least squares.
 /// The first step is the linear solution in normalized coordinates (Hartley, 1997). Four further
-/// steps with new weights then minimize the geometric error.
+/// steps with new weights then approximately minimize the geometric error.
 pub fn homography(pairs: &[([f64; 2], [f64; 2])]) -> Homography {
     let from = scaling(pairs.iter().map(|(from, _)| *from));
     let to = scaling(pairs.iter().map(|(_, to)| *to));
@@ -178,8 +179,8 @@ pub fn homography(pairs: &[([f64; 2], [f64; 2])]) -> Homography {
     to.inverse().after(&scaled.after(&from))
 }
 
-/// Returns the map that moves the points' centroid to the origin, and scales the mean distance from
-/// it to 1.
+/// Returns the map that moves the points' centroid to the origin, and scales the points' mean
+/// distance from the centroid to 1.
 fn scaling(points: impl Iterator<Item = [f64; 2]> + Clone) -> Homography {
     let count = points.clone().count().max(1) as f64;
     let centre = points.clone().fold([0.0; 2], |sum, p| [sum[0] + p[0] / count, sum[1] + p[1] / count]);

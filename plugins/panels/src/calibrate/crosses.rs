@@ -1,9 +1,10 @@
 //! Detects dark crosses on a bright ground.
 //!
-//! Pixels that are darker than their surroundings form connected components. Components of about
-//! the median size that fill little of their bounding box are crosses. A disc marks the central cross. From the central cross
-//! a search proceeds from neighbour to neighbour. The centre of a cross is the intersection of two
-//! lines, each of which is fitted to two opposite arms.
+//! Pixels that are darker than their surroundings form connected components. Crosses are the
+//! components that fill little of their bounding box and have about the median size of such
+//! components. A disc marks the central cross. From the central cross a search proceeds from
+//! neighbour to neighbour. The centre of a cross is the intersection of two lines, each of which is
+//! fitted to two opposite arms.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -234,7 +235,8 @@ impl Darkness {
     }
 
     /// Returns [offset, slope] of the line through the two arms along `axis` (0: x, 1: y), relative
-    /// to `at`. The line is a weighted fit to the centres of darkness across the arms.
+    /// to `at`. At every position along the arms, the centre of darkness across the arms is
+    /// computed. The line is fitted to these centres, weighted by their darkness.
     fn arm(&self, at: [f64; 2], arm: f64, axis: usize, slope: f64) -> Option<[f64; 2]> {
         let across = 0.3 * arm;
         let (near, far) = (0.3 * arm, 0.85 * arm);
@@ -253,7 +255,7 @@ impl Darkness {
                     return None;
                 }
                 let value = f64::from(self.value[row as usize * self.cols + col as usize]);
-                // weight pixels at the ends of the window by their overlap with it
+                // weight pixels at the ends of the window by the fraction inside of the window
                 let share = (across + 0.5 - (place as f64 - middle).abs()).clamp(0.0, 1.0);
                 weight += share * value;
                 moment += share * value * (place as f64 - at[1 - axis]);

@@ -46,7 +46,7 @@ pub enum CalibrationError {
     },
     /// The camera model does not fit the crosses.
     #[error(
-        "photograph of layer {layer}: the crosses do not fit a camera's perspective: expected a reprojection error of at most 3 pixels, found {rms_px:.1} pixels. Take a sharp photograph that shows all crosses"
+        "photograph of layer {layer}: expected crosses that fit the perspective of a camera with a reprojection error of at most 3 pixels, found an error of {rms_px:.1} pixels. Take a sharp photograph that shows all crosses"
     )]
     Fit {
         /// Index of the photographed layer.
@@ -61,7 +61,8 @@ pub enum CalibrationError {
 pub struct Found {
     /// Index of the layer.
     pub layer: usize,
-    /// The panel's new homography. It includes the previous one, with which the array was drawn.
+    /// The panel's new homography. It includes the previous homography, with which the array was
+    /// drawn.
     pub homography: Homography,
     /// Number of crosses found.
     pub crosses: usize,
@@ -81,7 +82,8 @@ const ROUGH_PX: f64 = 3.0;
 /// the photograph of `reference`, and one result per layer in `others`.
 ///
 /// # Errors
-/// If a photograph does not show the array, or the camera model does not fit its crosses.
+/// If a photograph does not show the array, or if the camera model does not fit the crosses of the
+/// reference layer.
 pub fn calibrate(
     display: &Display,
     eye_mm: [f64; 3],

@@ -85,7 +85,7 @@ pub fn present(
         result: None,
     };
     let ran = event_loop.run_app(&mut app).map_err(session);
-    // The reason of the end comes first, since errors of the event loop may only follow from it.
+    // Prefer the recorded reason for the end. An error of the event loop may only be a consequence.
     app.result.unwrap_or(ran)
 }
 
@@ -117,7 +117,7 @@ struct Running {
     shared: Arc<SharedState>,
     work: Sender<Work>,
     report: Receiver<Report>,
-    /// Disconnects when the producer has ended.
+    /// The channel, which disconnects when the producer has ended.
     produced: Receiver<()>,
     /// The present loop's thread, and the thread that forwards replaced frame sets to the producer.
     presenting: [JoinHandle<()>; 2],
@@ -182,8 +182,8 @@ impl ApplicationHandler<Command> for App<'_> {
     }
 
     fn exiting(&mut self, event_loop: &ActiveEventLoop) {
-        // This call has no effect after a requested end. Otherwise the event loop exits because the
-        // connection was lost.
+        // If the presentation has already ended, `end` has no effect. Otherwise the event loop
+        // exits because the connection was lost.
         self.end(event_loop, Err(WindowError::Lost));
     }
 
@@ -246,7 +246,8 @@ impl App<'_> {
             self.windows.push((Arc::new(window), name.to_string(), size));
             Ok::<_, WindowError>(())
         };
-        // A preview needs one ordinary window. Its size is a whole multiple of the resolution.
+        // A preview needs one ordinary window, whose size is a whole multiple of the light field's
+        // resolution.
         if settings.mode == Mode::Window {
             let [cols, rows] = display.field.resolution;
             let scale = (960 / cols.max(1)).clamp(1, 8);
@@ -337,7 +338,7 @@ impl App<'_> {
                 let (fits, pitch_mm) = fitted(&display, &assigned);
                 display = fits;
                 (self.emit)(Event::Warning(format!(
-                    "fit: the masks are scaled as if a panel pixel had {pitch_mm:.4} mm. Multiply the distances between the panels by the true size of a panel pixel, divided by {pitch_mm:.4} mm"
+                    "fit: the masks are scaled as if the pixels of all panels had a pitch of {pitch_mm:.4} mm. For correct parallax, multiply the distances between the panels by the true pitch of their pixels, divided by {pitch_mm:.4} mm"
                 )));
             }
             misfits(&display, &assigned).into_iter().for_each(|text| (self.emit)(Event::Warning(text)));
@@ -449,8 +450,8 @@ impl App<'_> {
             duration,
         });
         self.shown_since = Some(Instant::now());
-        // Take the keyboard focus before `Started`, since a user may press keys as soon as it is
-        // emitted.
+        // Take the keyboard focus before `Started`, since a user may press keys as soon as this
+        // event is emitted.
         self.watch.insert(Watch::new(event_loop)).keep_focus(&self.windows[0].0, mode == Mode::Span);
         if mode != Mode::Window {
             for Viewport { shows: panel, output, .. } in &self.viewports {
@@ -603,7 +604,8 @@ impl App<'_> {
     }
 }
 
-/// Sets the position and size of a window, and excludes it from the control of window managers.
+/// Sets the position and size of a window, and excludes the window from the control of window
+/// managers.
 fn span_attributes(
     attributes: winit::window::WindowAttributes,
     [x, y]: [i32; 2],

@@ -2,8 +2,8 @@
 //!
 //! A request is sent before each commit of a surface. The answer comes some refreshes later. It
 //! states the time at which the frame was presented, or that the frame was discarded. Answers
-//! arrive in a separate queue. The main thread reads the connection whenever data arrive, so only
-//! [`Feedback::new`] blocks.
+//! arrive in a separate queue. The main thread reads from the connection whenever data arrive. So
+//! of the functions of this file only [`Feedback::new`] blocks.
 
 use wayland_client::protocol::wl_registry::{self, WlRegistry};
 use wayland_client::protocol::wl_surface::WlSurface;

@@ -80,7 +80,7 @@ pub enum WindowError {
     },
     /// A window did not reach the size of its output.
     #[error(
-        "{output}: expected a surface of {} × {} pixels, found {} × {} pixels: set the output's scale to 1",
+        "{output}: expected a surface of {} × {} pixels, found {} × {} pixels. Set the output's scale to 1",
         expected[0], expected[1], found[0], found[1]
     )]
     Size {
@@ -99,7 +99,7 @@ pub enum WindowError {
     Lost,
     /// An output was disconnected.
     #[error(
-        "output {name}: disconnected while the output showed {shows}: check that the panel is plugged in and switched on"
+        "output {name} was disconnected while it showed {shows}. Check that the panel is plugged in and switched on"
     )]
     Gone {
         /// The name of the output.

@@ -79,7 +79,7 @@ impl Watch {
     }
 
     /// Sets the keyboard focus to `window` on an X server without a window manager. The first call
-    /// sets the focus. A later call sets it again if `window` has lost the focus and no other
+    /// sets the focus. A later call sets the focus again if neither `window` nor another
     /// window has the focus. `unmanaged` states that window managers ignore this window. Then the
     /// first call sets the focus even if there is a window manager.
     pub(super) fn keep_focus(&mut self, window: &Window, unmanaged: bool) {
@@ -144,7 +144,7 @@ mod x11 {
     enum Focus {
         /// The focus is not set yet.
         NotSet,
-        /// The focus is set to our window. Another client may have moved it.
+        /// The focus was set to our window. Another client may have moved the focus since.
         Set,
         /// The focus may have reverted to the root window or to no window, which a query must show.
         Reverted,

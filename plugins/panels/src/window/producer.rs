@@ -177,8 +177,9 @@ fn nudge_of(display: &mut Display, shows: Shows) -> Option<&mut [f64; 2]> {
     Some(&mut panel.get_or_insert_default().nudge_px)
 }
 
-/// Centres a picture `[row][col][rgb]` in a window, enlarged by the largest whole factor that fits,
-/// or reduced. Returns `[row][col][red, green, blue, 255]`.
+/// Centres a picture `[row][col][rgb]` in a window. The picture is enlarged by the largest whole
+/// factor with which it fits; if the window is smaller, it is reduced. Returns
+/// `[row][col][red, green, blue, 255]`.
 fn fitted(codes: &[u8], [cols, rows]: [usize; 2], [width, height]: [usize; 2]) -> Vec<u8> {
     let fit = (width as f64 / cols as f64).min(height as f64 / rows as f64);
     let scale = if fit >= 1.0 { fit.floor() } else { fit };

@@ -15,8 +15,8 @@ use winit::window::Window;
 /// Returns the connection of a window; `None` if the session is not Wayland.
 pub(super) fn connection_of(window: &Window) -> Option<Connection> {
     let RawDisplayHandle::Wayland(handle) = window.display_handle().ok()?.as_raw() else { return None };
-    // SAFETY: the pointer is the windows' connection, which outlives them and all objects created
-    // here.
+    // SAFETY: the pointer is the connection of the windows. The connection outlives the windows and
+    // all objects created here.
     let backend = unsafe { Backend::from_foreign_display(handle.display.as_ptr().cast()) };
     Some(Connection::from_backend(backend))
 }

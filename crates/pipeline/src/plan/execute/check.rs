@@ -32,8 +32,7 @@ impl Context<'_> {
                 (PartKind::Node(_), _) => {}
                 _ => job.check()?,
             }
-            // Check settings, plugins and folders. Wrong eyes would make a wrong display, so check
-            // them before the display.
+            // Check settings, plugins and folders.
             factorize::check(&job.factorize)?;
             let display = job.resolve_display()?;
             if job.nodes.is_empty() && node::is_factorized(plan.node(number)) {

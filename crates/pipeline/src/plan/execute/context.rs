@@ -137,7 +137,8 @@ impl<'a> Context<'a> {
                 }
                 _ => of_part.job.clone(),
             },
-            // A node of a time step takes its warm start from the completed job of that time step.
+            // The warm start of a node is in the job of the node's time step, after the values
+            // above are filled in.
             (PartKind::Node(_), Some(parent)) => {
                 let around = self.job(parent);
                 plan.node(part)

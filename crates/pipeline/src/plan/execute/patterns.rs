@@ -63,8 +63,8 @@ impl Context<'_> {
         write_display(&dir.join("display.toml"), &display)?;
         let mut above = (!cached).then_some(part);
         while let Some(part) = above {
-            // Remove the reports of the part and of the parts around it, since they describe older
-            // patterns.
+            // Remove the reports of the part and of its ancestors, since these reports describe
+            // older patterns.
             remove_reports(&self.dir(part))?;
             above = plan.parts[part].parent;
         }

@@ -96,7 +96,7 @@ impl Context<'_> {
         let Some(wanted) = wanted else {
             return Err(PipelineError::job("nodes", "at least one node", "none"));
         };
-        // The page compares all nodes with the same target.
+        // The report of the graph compares all nodes with the same target.
         let (settings, warnings) = (job.to_json(), self.warnings(|other| plan.is_below(other, part)));
         let input = GraphInput {
             title: &job.name,
@@ -136,7 +136,7 @@ impl Context<'_> {
             .iter()
             .map(|(id, times, brightness)| SequenceSeries { id: id.as_deref(), times, brightness: *brightness })
             .collect();
-        // The page shows all series over the time steps.
+        // The report of the sequence shows all series over the time steps.
         let (settings, warnings) = (job.to_json(), self.warnings(|other| plan.is_below(other, part)));
         let input = SequenceInput {
             title: &job.name,

@@ -74,8 +74,8 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
 }
 
 /// Chooses the same views for all displays whose views are automatic: the views of the display that
-/// needs the most. More views than a display needs only cost time, but fewer views reduce its zone
-/// score.
+/// needs the most views. More views than a display needs only cost time, but fewer views reduce the
+/// zone score of the display.
 fn choose_views<'a>(job: &mut Job, candidates: impl Iterator<Item = &'a mut Candidate>) {
     let mut choosing: Vec<&mut Candidate> =
         candidates.filter(|candidate| candidate.display.field.views == Views::Auto).collect();
@@ -174,7 +174,7 @@ mod tests {
         let (found, fields) = all(&job(sweep.clone()), &sweep).unwrap();
         assert_eq!((found.len(), fields.len()), (4, 2));
         assert_eq!(fields[1].display.fov_deg, Some([40.0, 20.0]));
-        assert!(fields.iter().all(|field| field.window.fit_depth == FitDepth::Off), "depth as it is, for all alike");
+        assert!(fields.iter().all(|field| field.window.fit_depth == FitDepth::Off), "no light field compresses depth");
         let read = Job { scene: None, light_field: Some("a.npy".into()), ..job(sweep.clone()) };
         let error = all(&read, &sweep).unwrap_err().to_string();
         assert!(error.contains("sweep.fov_deg"), "{error}");

@@ -25,8 +25,8 @@ const DROP_DB: f64 = 8.0;
 /// Returns the candidates that satisfy the constraints.
 ///
 /// # Errors
-/// If no candidate satisfies them. The message states the best thickness, refresh rate, number of
-/// panels and β of all candidates.
+/// If no candidate satisfies them. The message states the smallest thickness, refresh rate and
+/// number of panels, and the largest β, of all candidates.
 pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<Vec<Candidate>, PipelineError> {
     let fits = |d: &Design| {
         // A display that shows a single picture does not flicker, so its `refresh_hz` is 0.

@@ -62,7 +62,7 @@ class Glb:
     def drop_flat_triangles(self) -> int:
         """Removes the triangles without area, and returns their number. Blender's exporter writes
         such triangles for text and curves; the reader of the file would warn of them."""
-        # Blender always has NumPy, but readers of this module may have none.
+        # Blender always has NumPy, but other programs that import this module may lack it.
         import numpy
 
         dropped = 0

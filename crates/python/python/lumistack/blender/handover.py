@@ -67,7 +67,7 @@ def in_window(bpy: Any, scene: Any) -> Iterator[None]:
         return
     windows = [each for manager in bpy.data.window_managers for each in manager.windows]
     if not windows:
-        raise RuntimeError("expected an open window of Blender, which exporters need, found none: start Blender with a file that has a window")
+        raise RuntimeError("expected an open window of Blender, which exporters need, found none; start Blender with a file that has a window")
     window = window or windows[0]
     shown = window.scene
     # The exporter reads the scene of the window.

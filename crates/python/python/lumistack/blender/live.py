@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
-#: Number of scene files that are kept besides the newest one, and also of display files. The
+#: Number of earlier scene files that are kept besides the newest, and of earlier display files. The
 #: program may still read these files.
 KEPT = 4
 #: Largest number of characters of a message.
@@ -153,7 +153,8 @@ class Live(Program):
         self._threads = [threading.Thread(target=each, args=args, name="lumistack live", daemon=True) for each, args in reads]
         for thread in self._threads:
             thread.start()
-        # The end of the program's standard input stops it, so it also ends if its caller crashes.
+        # From now on the end of standard input stops the program. So the program also ends if its
+        # caller crashes.
         self.send(stop_at_end=True)
 
     @property

@@ -1,4 +1,4 @@
-"""Exports Blender's active scene as a USD file, by Blender's exporter and in its units of light."""
+"""Exports Blender's active scene as a USD file, in the units of light of Blender's exporter."""
 
 from __future__ import annotations
 

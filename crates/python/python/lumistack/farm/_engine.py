@@ -160,7 +160,7 @@ def execute(
 
 
 def _check_main() -> None:
-    """Refuses calls by a process that imports the script of the process that starts it."""
+    """Refuses calls while a new worker process imports the script that started it."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise FarmError(
             "every worker imports the script that starts it: expected calls of lumistack.farm after "
@@ -179,14 +179,14 @@ def check_address(address: str, has_tls: bool, insecure: bool) -> None:
             raise FarmError(f"{address}: expected the files of --tls-ca, --tls-cert and --tls-key with tls://, found none")
     elif not (is_here or insecure):
         raise FarmError(
-            f"{address}: expected tls:// or an address of this machine, found {parts.scheme}:// to another machine: every process that reaches "
-            "such a scheduler can run programs on its workers; --insecure allows it"
+            f"{address}: expected tls:// or an address of this machine, found {parts.scheme}:// to another machine; every process that reaches "
+            "such a scheduler can run programs on its workers; --insecure allows this address"
         )
 
 
 @contextmanager
 def connected(address: str | None, client: Any, workers: int, tls: tuple[str, str, str] | None) -> Iterator[Any]:
-    """Yields a client of Dask. If no scheduler is named, it starts a cluster on this machine."""
+    """Yields a client of Dask. If no scheduler is named, starts a cluster on this machine."""
     if client is not None:
         yield client
         return

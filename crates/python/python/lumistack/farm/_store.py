@@ -195,11 +195,11 @@ class Mirror:
         self.folder.mkdir()
         self.begun = False
         self.taken: set[str] = set()
-        # The unit since its `take`, until its files are published.
+        # The unit whose attempt runs: set by `take`, and None after its files are published.
         self.unit: str | None = None
         self.before: dict[Path, tuple[int, int, int]] = {}
-        # Files of units whose last attempt failed. A retry keeps finished files, so it does not
-        # write them again.
+        # Files of units whose last attempt failed. A retry does not write finished files again, so
+        # `publish` adds them.
         self.left: dict[str, set[Path]] = {}
         # The lists of the folders that the client sent, as they were copied.
         self.sent: dict[int, list[dict[str, Any]] | None] = {}
@@ -245,7 +245,7 @@ class Mirror:
         return {path for path, state in _states(self.folder).items() if self.before.get(path) != state}
 
     def publish(self, unit: str) -> None:
-        """Copies the files that the unit wrote to the store: since `take`, and in earlier attempts."""
+        """Stores the files that the unit wrote since `take` and in earlier attempts."""
         left = {path for path in self.left.get(unit, ()) if path.is_file()}
         self.run.store.publish(self.run.unit(unit), self.folder, self.changed() | left)
         self.taken.add(unit)
