@@ -41,10 +41,10 @@ pub(crate) struct Sweep {
     #[arg(long)]
     plan: bool,
     /// Plots of PSNR to write [default: few]. With few, there are at most six plots: maps over one
-    /// pair of axes, and curves along every other axis. Three pairs are possible: frames and
+    /// pair of axes, then curves along the remaining axes. Three pairs are possible: frames and
     /// layers; frames and brightness; layers and brightness. Few takes the first pair whose axes
     /// both vary. With all, there are maps over every pair whose axes both vary, and curves along
-    /// every axis that varies
+    /// every axis that varies, except along --displays
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
     #[command(flatten)]

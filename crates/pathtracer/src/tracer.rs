@@ -412,7 +412,10 @@ impl Tracer<'_> {
 
     /// Returns a direction around the z axis for each path that continues, in the order of the
     /// paths. The z axis later becomes a normal. The directions are computed together, as vectors.
-    #[inline]
+    ///
+    /// Two versions of [`radiance`](Self::radiance) call this function and two more. Not inlined,
+    /// the three functions made views of 16 samples 3 % slower.
+    #[inline(always)]
     fn cosine_directions(&self, going: u32, pair: &mut Pair<'_>) -> [[f32; BEAM]; 3] {
         let mut u = [[0.0; BEAM]; 2];
         for (place, index) in ones(going).enumerate() {
@@ -578,7 +581,7 @@ impl Tracer<'_> {
     }
 
     /// Replaces [`bsdf`](Self::bsdf) for a material that scatters by Lambert's law alone.
-    #[inline]
+    #[inline(always)]
     fn lambert(&self, vertex: &Vertex<'_>) -> Lambert {
         let Vertex { material, point, front, normal, width } = vertex;
         let normals = self.materials.diffuse_normals(*material, point, *width, *normal, *front);
@@ -706,7 +709,7 @@ impl Surface {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn sample(&self, u: [f32; 2], around_normal: Vec3, u_fresnel: f32) -> Option<Scatter> {
         match self {
             Self::Lambert(lambert) => lambert.sample(around_normal),

@@ -102,7 +102,8 @@ fn class_of(error: &PipelineError) -> &'static str {
     }
 }
 
-/// Pairs of a flag in messages of the command, and Python's argument for the setting.
+/// Pairs of a text in error messages of the command line, usually a flag, and the text that
+/// replaces it in Python.
 const FLAGS: [(&str, &str); 25] = [
     ("--fit-depth=compress", "fit_depth=\"compress\""),
     ("--fit-depth", "fit_depth=\"move\""),

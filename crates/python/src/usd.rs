@@ -120,7 +120,8 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
     Ok(Walked { header, text, buffers })
 }
 
-/// Imports the walker, whose sources this module contains, as a package `lumistack_usd`.
+/// Imports the walker as the Python package `lumistack_usd`. Its sources are part of the crate of
+/// the same name.
 fn modules(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     const PACKAGE: &str = "lumistack_usd";
     let known = py.import("sys")?.getattr("modules")?;

@@ -264,11 +264,12 @@ fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
     Ok(())
 }
 
-/// Returns the geometry of a case's views over a zone of `fov_deg`. An axis with one view has no
-/// zone.
+/// Returns the geometry of a case's views, `views` = [rows, columns], over a zone of `fov_deg`. An
+/// axis with one view has no zone.
 fn field_of(case: &Case, projection: Projection, views: [usize; 2], fov_deg: f64) -> Outcome<FieldGeometry> {
-    let [fov_y, fov_x] = views.map(|count| if count > 1 { fov_deg } else { 0.0 });
-    Ok(case.geometry.with_grid(ViewGrid::uniform(projection, views, [fov_x, fov_y])?))
+    let [rows, cols] = views;
+    let fov = [cols, rows].map(|count| if count > 1 { fov_deg } else { 0.0 });
+    Ok(case.geometry.with_grid(ViewGrid::uniform(projection, [cols, rows], fov)?))
 }
 
 /// Renders the views with the peers, one by one, twice with independent seeds. Returns their names

@@ -249,8 +249,8 @@ fn reflections_of_rough_metal_are_shared() {
 }
 
 /// Under a sky of radiance 1 the pictures are known. A wall of two colours has the radiance of its
-/// albedo. White metal between the colours, and a glowing pole, have the radiance 1. The edges of
-/// metal and pole are inside of pixels.
+/// albedo. White metal between the colours, and a glowing pole, have the radiance 1. From view to
+/// view, the pole covers another part of the wall.
 #[test]
 fn further_paths_do_no_harm_where_views_share_no_light() {
     const POLE_X: [f32; 2] = [-0.13, 0.12];
@@ -269,7 +269,7 @@ fn further_paths_do_no_harm_where_views_share_no_light() {
     builder.add(wall(POLE_X, POLE_Z), glowing(Vec3::ONE));
     builder.sky(&[1.0]);
     let renderer = builder.renderer();
-    let geometry = geometry().with_grid(ViewGrid::uniform(Projection::Oblique, [1, 9], [30.0, 1.0]).unwrap());
+    let geometry = geometry().with_grid(ViewGrid::uniform(Projection::Oblique, [9, 1], [30.0, 1.0]).unwrap());
     // the radiance at a column, averaged over points between its edges
     let truth = |view: [usize; 2], col: usize| {
         const POINTS: usize = 1000;

@@ -52,7 +52,8 @@ pub struct Step {
     /// True if the run folder has the current result; `None` if only a run can find out.
     pub cached: Option<bool>,
     /// Upper bound of the memory, bytes, computed from the sizes of arrays. A light field larger
-    /// than the job's `render.field_mib` is included only with its bytes in memory.
+    /// than the job's `render.field_mib` is kept in files. The bound then includes only the part
+    /// that is in memory.
     pub memory_bytes: u64,
     /// Estimated time on this machine, seconds; 0 if cached.
     pub seconds: f64,
