@@ -2,9 +2,11 @@
 //! emission.
 //!
 //! Display space is right-handed, in millimetres. The origin is at the centre of the light field's
-//! rectangle, x right, y up, z to the viewer. z = 0 is the display plane, of zero parallax. Array
-//! indices count down and right from the top left. A ray is given by its point on z = 0 and its
-//! slope s, the tangent of its angle to the z axis, along x and y (the paper's v/d_r, eq. 1).
+//! rectangle. The x axis points to the right, the y axis up, the z axis to the viewer. The display
+//! plane is z = 0, with zero parallax. Array indices count down and right from the top left.
+//!
+//! A ray is given by its point on the display plane and its slope s, along x and y. The slope is
+//! the tangent of the ray's angle to the z axis (v/d_r in eq. 1 of the paper).
 //!
 //! ```text
 //! Display + FieldGeometry ──▶ RayMap ─────────────────┐

@@ -1,7 +1,7 @@
 //! Updates the lines of a factor that is not at a constant shift. (At a constant shift, a ray's
-//! column in the factor is its column in the view plus a constant.) There are three such cases:
-//! rays read the factor between pixels, at shifts that vary; several field pixels share one pixel
-//! of the factor; or the factor's pitch differs from the field's.
+//! column in the factor is its column in the view plus a constant.) There are three such cases.
+//! Rays may read the factor between pixels, at shifts that vary. Several field pixels may share one
+//! pixel of the factor. The factor's pitch may differ from the field's pitch.
 //!
 //! A ray reads the factor between lines j and j + 1, and between columns i and i + 1. So the sums
 //! of [`gather`](crate::gather) are added to four pixels, with the shares (1 − t_y, t_y) and

@@ -17,13 +17,14 @@
 #include <stdint.h>
 
 /**
- * Version of the existing structs and functions; the same on both sides. See the crate's page for
- * the promises of versions 1.x.
+ * Major version of the interface, which must be the same in the program and in the plugin. The
+ * section *Versions* of this crate's documentation lists the promises of versions 1.x.
  */
 #define LUMISTACK_ABI_MAJOR 1
 
 /**
- * Version of the additions: members at the ends of structs, constants and keys of JSON.
+ * Minor version of the interface. Additions raise it: members at the ends of structs, constants,
+ * and keys of JSON.
  */
 #define LUMISTACK_ABI_MINOR 0
 
@@ -83,7 +84,7 @@
 #define LUMISTACK_PORT_FILE (1 << 3)
 
 /**
- * An operation failed, and the plugin continues without it.
+ * An operation failed, and the plugin continues without its result.
  */
 #define LUMISTACK_LEVEL_ERROR 1
 
@@ -143,8 +144,8 @@ typedef struct LumistackDescriptor {
    */
   uint32_t ports;
   /**
-   * Name in job files and on the command line: lower-case letters, digits and underscores; the
-   * first is a letter.
+   * Name in job files and on the command line: lower-case letters, digits and underscores. The
+   * first character is a letter.
    */
   struct LumistackStr id;
   /**
@@ -179,7 +180,7 @@ typedef int32_t LumistackStatus;
  */
 #define LUMISTACK_STATUS_FAILED 1
 /**
- * The call stopped because the host cancelled. The input may be valid or invalid.
+ * The call stopped because the host cancelled. This does not state whether the input is valid.
  */
 #define LUMISTACK_STATUS_CANCELLED 2
 /**
@@ -192,8 +193,8 @@ typedef int32_t LumistackStatus;
 #define LUMISTACK_STATUS_PANICKED 4
 
 /**
- * Receives the error text of one call. The caller provides it, so no memory changes its owner, and
- * calls from several threads do not mix their texts.
+ * Receives the error text of one call. The caller provides the sink, so no memory changes its
+ * owner, and calls from several threads do not mix their texts.
  */
 typedef struct LumistackErrorSink {
   /**
@@ -394,8 +395,8 @@ typedef struct LumistackHostServices {
    */
   uint8_t (*is_cancelled)(const void *context);
   /**
-   * Starts a file, with `*file` as its handle. `path` is relative to the output's folder, with
-   * `/` between names and no `..`.
+   * Creates a file, and stores its handle in `*file`. `path` is relative to the output's folder,
+   * with `/` between names and no `..`.
    */
   LumistackStatus (*file_open)(const void *context,
                                struct LumistackStr path,
@@ -570,9 +571,9 @@ typedef struct LumistackImporterVtable {
    */
   struct LumistackStr extensions;
   /**
-   * Reads the file `file`, a name for `assets`, and writes a whole `.glb` or `.gltf` to `scene`.
-   * The document may refer to files in the imported file's folder. `host` offers messages,
-   * progress and cancellation, but no files.
+   * Reads the file `file`, a path for `read` of `assets`, and writes a whole `.glb` or `.gltf`
+   * to `scene`. The document may refer to files in the imported file's folder. `host` offers
+   * messages, progress and cancellation, but no files.
    */
   LumistackStatus (*import)(const struct LumistackHostServices *host,
                             struct LumistackStr params_json,
@@ -645,7 +646,7 @@ typedef struct LumistackStackSink {
   void *context;
   /**
    * Sets the brightness β, above 0 and at most 1: the patterns emit β times the target. Without
-   * this call β is the display's.
+   * this call β is the brightness in the display file.
    */
   LumistackStatus (*brightness)(void *context, double brightness, const struct LumistackErrorSink *error);
   /**
@@ -668,10 +669,10 @@ typedef struct LumistackStackSink {
                                     const struct LumistackPlane *plane,
                                     const struct LumistackErrorSink *error);
   /**
-   * Reports the progress of an iterative method. `objective` is the value that the method
-   * minimizes, after `iteration` iterations; iteration 0 is the start. `psnr_view_db` is the
-   * PSNR of the emitted light field against the target, dB; NaN if it is unknown. Optional;
-   * `iteration` must increase from call to call.
+   * Reports the progress of an iterative method; nodes may omit this call. `objective` is the
+   * value that the method minimizes, after `iteration` iterations. Iteration 0 is the start, and
+   * `iteration` must increase from call to call. `psnr_view_db` is the PSNR of the emitted light
+   * field against the target, dB; NaN if it is unknown.
    */
   LumistackStatus (*step)(void *context,
                           uint32_t iteration,
@@ -680,12 +681,13 @@ typedef struct LumistackStackSink {
                           const struct LumistackErrorSink *error);
   /**
    * Reports the result of an iterative method: `{"solver", "start", "coarse_levels",
-   * "kkt_residual", "levels"}`. Optional; called at most once.
+   * "kkt_residual", "levels"}`. Nodes may omit this call, and make it at most once.
    *
    * * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
    *   solved first.
    * * `kkt_residual`: if one value of the patterns had one more exact update, the emission would
-   *   change. The residual is the root mean square of this change over all values.
+   *   change. The residual is the root mean square of this change over all values of the
+   *   patterns.
    * * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
    *   bits, or null.
    */

@@ -62,7 +62,7 @@ pub fn places(count: usize, available: usize) -> Vec<f64> {
 }
 
 /// Returns the index of the row of views to use; there are `rows` rows. The result is `given`, or
-/// the central row if `given` is negative. Of two central rows, it is the upper row.
+/// the central row if `given` is negative. If there are two central rows, it is the upper one.
 ///
 /// # Errors
 /// If there is no such row.

@@ -49,7 +49,7 @@ impl DisplayAxes {
 /// [`turned`](Self::turned) converts them to display space.
 #[derive(Default)]
 pub(super) struct FirstSums {
-    /// Number of all rays. Of these, `paths` rays continue as paths, and `hits` rays hit a surface.
+    /// Number of all rays; `paths` of them continue as paths, and `hits` of them hit a surface.
     rays: u32,
     paths: u32,
     hits: u32,
