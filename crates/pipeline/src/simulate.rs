@@ -188,8 +188,8 @@ pub fn picture_from(
         }
         Viewpoint::Eye(eye_mm) => {
             if !(eye_mm[2] > 0.0 && eye_mm.iter().all(|x| x.is_finite())) {
-                let found = eye_mm[2].to_string();
-                return Err(PipelineError::option("--eye", "Z", "a distance above 0 in front of the display", found));
+                let expected = "finite numbers, with a distance z above 0 in front of the display";
+                return Err(PipelineError::option("--eye", "X,Y,Z", expected, format!("{eye_mm:?}")));
             }
             simulator.from_eye(eye_mm).radiance
         }
