@@ -120,7 +120,7 @@ const FLAGS: [(&str, &str); 25] = [
     ("--grid", "grid"),
     ("--views", "views"),
     ("--view: X,Y", "angle_deg"),
-    ("--eye: Z", "eye_mm[2]"),
+    ("--eye: X,Y,Z", "eye_mm"),
     ("--quilt", "quilt"),
     ("--tiles", "tiles"),
     ("--resolution", "resolution"),
