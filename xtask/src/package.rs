@@ -70,8 +70,9 @@ pub fn check() -> Outcome {
     Ok(())
 }
 
-/// Compiles the packages of [`check`] alone, without the files of this repository that no package
-/// contains. Installs the command from its package, and runs a small job.
+/// Unpacks the packages of [`check`] into a new workspace, so that only packaged files are
+/// available. Checks each package of [`FOR_USERS`] by itself with cargo. Installs the command from
+/// its package, and runs a small job.
 pub fn install() -> Outcome {
     check()?;
     let from = root().join("target/package");
@@ -118,8 +119,8 @@ pub fn install() -> Outcome {
     job.args(["run", "scenes/still-life/job.toml", "--resolution", "84x52", "--views", "3x3", "--samples", "1"]);
     run(job.arg("--output").arg(&runs))?;
     println!(
-        "package: each of {} packages compiles outside of the workspace; the installed command wrote {}",
-        names.len(),
+        "package: packages for users that compile outside of this repository: {}; the installed command wrote {}",
+        FOR_USERS.len(),
         runs.display()
     );
     Ok(())

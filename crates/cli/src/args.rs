@@ -185,7 +185,8 @@ pub(crate) enum Setup {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Run {
-    /// Job file (.toml) or scene (.gltf, .glb, USD, .blend, or a file of an importer plugin)
+    /// Job file (.toml) or scene: .gltf, .glb, USD, .blend, .obj, splats (.ply, .spz, .sog), or a
+    /// file of another importer plugin
     pub(crate) input: PathBuf,
     /// Do not run. Print the steps of the run, which of them have cached results, and estimates of
     /// time and memory
@@ -197,7 +198,8 @@ pub(crate) struct Run {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Render {
-    /// Scene (.gltf, .glb, USD, .blend, or a file of an importer plugin) or job file (.toml)
+    /// Job file (.toml) or scene: .gltf, .glb, USD, .blend, .obj, splats (.ply, .spz, .sog), or a
+    /// file of another importer plugin
     pub(crate) scene: PathBuf,
     /// Folder for the views
     #[arg(short, long, value_name = "DIR")]

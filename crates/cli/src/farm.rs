@@ -31,7 +31,7 @@ Examples:
   lumistack farm export openjd job.toml -o /mnt/shots/one --to jobs
       writes a job for farm managers that read Open Job Description
 
-The results are the same as those of `lumistack run`, byte for byte. If a run was stopped or killed, the same command continues it. docs/FARM.md has recipes.";
+Patterns, outputs and tables are the same as on one machine, byte for byte; reports differ in their times. If a run was stopped or killed, the same command continues it. docs/FARM.md has recipes.";
 
 /// Assumed time to start a unit of work, seconds. Predictions add it to the time of each unit.
 const OVERHEAD_SECONDS: f64 = 0.1;
@@ -130,8 +130,8 @@ enum What {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Farm")]
 struct EngineArgs {
-    /// Address of a running Dask scheduler, such as tls://host:8786 [default: no scheduler, but
-    /// workers on this machine]
+    /// Address of a running Dask scheduler, such as tls://host:8786 [default: a new
+    /// scheduler with workers on this machine]
     #[arg(long, value_name = "ADDRESS")]
     dask: Option<String>,
     /// Number of workers on this machine, if --dask is not given [default: 2]

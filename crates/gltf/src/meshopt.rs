@@ -60,7 +60,9 @@ impl<'d> Packed<'d> {
         }
         let most = (length.saturating_mul(MAX_RATIO)).min(MAX_VIEW_BYTES);
         if self.unpacked_bytes > most {
-            let expected = format!("at most {most} unpacked bytes, since there are {length} packed bytes");
+            let expected = format!(
+                "at most {most} unpacked bytes ({MAX_RATIO} times the {length} packed bytes, and no more than {MAX_VIEW_BYTES})"
+            );
             return Err(Fault::new(fields.place("count"), expected, self.unpacked_bytes));
         }
         let (count, stride) = (count as usize, stride as usize);

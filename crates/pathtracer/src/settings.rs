@@ -86,7 +86,7 @@ impl Settings {
         !cfg!(target_arch = "wasm32") && self.further_paths
     }
 
-    /// Returns true if some pixels of a split view have more rays than paths.
+    /// Returns true if pixels of a split view may have more rays than paths.
     pub fn has_further_rays(&self) -> bool {
         self.further_rays > 0 || self.sparse_paths || self.has_further_paths()
     }

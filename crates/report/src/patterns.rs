@@ -19,9 +19,9 @@ pub(crate) struct Patterns {
     pub(crate) emission: Option<Emission>,
     /// The layers, with the rearmost first.
     pub(crate) layers: Vec<Sheet>,
-    /// Factor by which pictures of single frames are smaller than the masks.
+    /// Factor by which the pictures of a layer's single frames are smaller than the masks.
     pub(crate) shrunk: usize,
-    /// Factor by which the large pictures are smaller than the masks.
+    /// Factor by which the pictures `mean` and `change` of a layer are smaller than the masks.
     pub(crate) large_shrunk: usize,
 }
 

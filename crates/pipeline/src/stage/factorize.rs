@@ -397,7 +397,7 @@ pub(crate) fn add_stack(key: &mut KeyBuilder, stack: &LayerStack) {
 /// Checks that patterns match a display.
 ///
 /// # Errors
-/// If their shapes differ.
+/// If their shapes differ, or if the brightness or a value is out of range.
 pub(crate) fn check_stack(stack: &LayerStack, display: &Display, path: &Path) -> Result<(), PipelineError> {
     stack.check(display).map_err(|source: StackError| PipelineError::Stack { path: path.to_owned(), source })
 }
