@@ -211,9 +211,10 @@ fn a_video_shows_its_time_steps_in_order_and_ends() {
     assert!(live.process.wait().unwrap().success());
 }
 
-/// Commands without keys work while the display file is missing, as while an editor saves it.
+/// Commands that change no keys of the job work while the display file is missing. For example, it
+/// is missing while an editor saves it.
 #[test]
-fn commands_without_keys_need_no_files() {
+fn commands_that_change_no_keys_need_no_files() {
     let folder = tempfile::tempdir().unwrap();
     let (job, display) = (write_job(folder.path()), folder.path().join("d.toml"));
     std::fs::copy(root().join("scenes/displays/fig7-uniform.toml"), &display).unwrap();

@@ -224,6 +224,7 @@ pub(crate) struct Render {
 }
 
 #[derive(Debug, ClapArgs)]
+#[command(mut_arg("iterations", |arg| arg.help("Number of iterations of the solver. Each iteration updates every layer once, and a directional backlight, if there is one [default: 50]")))]
 pub(crate) struct Factorize {
     /// The views: a folder, a quilt, a picture of tiles or a .npy file. With --sequence, a folder
     /// that contains the views of each time step

@@ -252,12 +252,11 @@ pub(crate) struct JobArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Light field")]
 pub(crate) struct FieldLookArgs {
-    /// Exposure of all views, stops: values are multiplied by 2^EV. Values above 1 are then
-    /// clipped, unless --tone compresses them
+    /// Exposure of all views, stops: values are multiplied by 2^EV
     #[arg(long, value_name = "EV", allow_hyphen_values = true)]
     pub(crate) exposure_ev: Option<f64>,
-    /// Tone curve of all views: linear (clips to 0..1), khronos-neutral or agx [default: values
-    /// stay as they are]
+    /// Tone curve of all views: linear (clips to 0..1), khronos-neutral or agx [default: none, or
+    /// linear if --exposure-ev changes the exposure]
     #[arg(long, value_name = "CURVE", value_parser = ["linear", "khronos-neutral", "agx"])]
     pub(crate) tone: Option<String>,
 }

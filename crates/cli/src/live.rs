@@ -60,6 +60,7 @@ const TICK: Duration = Duration::from_millis(20);
 const RATES_HZ: [f64; 2] = [0.001, 1000.0];
 
 #[derive(Debug, ClapArgs)]
+#[command(mut_arg("iterations", |arg| arg.hide(true)))]
 pub(crate) struct Live {
     /// Job file (.toml), scene, or light field that states its geometry; with --times a folder of
     /// light fields

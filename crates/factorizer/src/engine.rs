@@ -1,4 +1,4 @@
-//! The processor's state of a run, and the update of one factor.
+//! The state of a run on the processor (CPU), and the update of one factor.
 
 use std::sync::Arc;
 

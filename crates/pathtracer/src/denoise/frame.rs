@@ -5,8 +5,8 @@ use lumistack_display::{FieldGeometry, Projection};
 
 use super::view::NoisyView;
 
-/// Smallest reflectance by which radiance is divided. The contrast of darker surfaces is filtered
-/// with the light.
+/// Smallest reflectance by which radiance is divided. If a surface is darker, the division leaves
+/// contrast of its texture, and the filter blurs this contrast too.
 const LEAST_ALBEDO: f32 = 0.02;
 /// Half the width of the square over which the variance of a pixel is averaged. The two halves of
 /// one pixel give only a very rough variance.

@@ -152,7 +152,7 @@ impl Scene {
         }
     }
 
-    /// Checks that the document names every other file, and that every file can be decoded.
+    /// Checks that the document names every other file, and that every picture can be decoded.
     fn check_files(&self) {
         let mut named: BTreeSet<String> = BTreeSet::new();
         let buffers = self.list("buffers").iter().chain(self.list("images"));
