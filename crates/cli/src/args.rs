@@ -223,8 +223,12 @@ pub(crate) struct Render {
     pub(crate) render: RenderArgs,
 }
 
+/// Help of `--iterations` for a light field, whose number of views is fixed.
+const ITERATIONS: &str = "Number of iterations of the solver. Each iteration updates every layer once, and a directional \
+                          backlight, if there is one [default: 50]";
+
 #[derive(Debug, ClapArgs)]
-#[command(mut_arg("iterations", |arg| arg.help("Number of iterations of the solver. Each iteration updates every layer once, and a directional backlight, if there is one [default: 50]")))]
+#[command(mut_arg("iterations", |arg| arg.help(ITERATIONS)))]
 pub(crate) struct Factorize {
     /// The views: a folder, a quilt, a picture of tiles or a .npy file. With --sequence, a folder
     /// that contains the views of each time step
