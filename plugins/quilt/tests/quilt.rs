@@ -114,7 +114,7 @@ fn views_that_a_light_field_lacks_are_named() {
     // The positions −0.25, 0.25, 0.75, ... are nearest to the views 0, 0, 1, 1, 2, 2 of the light
     // field.
     let (files, warnings) = write(&display(), data, params("nearest")).unwrap();
-    assert!(warnings[0].contains("every tile shows the nearest view"), "{warnings:?}");
+    assert!(warnings[0].contains("Every tile shows the nearest view"), "{warnings:?}");
     for view in 0..6 {
         let expected = codes8(&Transfer::Srgb, field.view([1, view as usize / 2]));
         assert_eq!(tile(&codes(&files), view), expected, "view {view}");
