@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 
 use crate::groups::{
-    DisplayArgs, FactorizeArgs, FactorizeDisplayArgs, FieldLookArgs, FileArgs, GeometryArgs, JobArgs, RenderArgs,
+    DisplayArgs, FactorizeArgs, FactorizeDisplayArgs, FieldLookArgs, FileArgs, GeometryArgs, ITERATIONS, JobArgs,
+    RenderArgs,
 };
 use crate::values::Numbers;
 
@@ -223,12 +224,8 @@ pub(crate) struct Render {
     pub(crate) render: RenderArgs,
 }
 
-/// Help of `--iterations` for a light field, whose number of views is fixed.
-const ITERATIONS: &str = "Number of iterations of the solver. Each iteration updates every layer once, and a directional \
-                          backlight, if there is one [default: 50]";
-
 #[derive(Debug, ClapArgs)]
-#[command(mut_arg("iterations", |arg| arg.help(ITERATIONS)))]
+#[command(mut_arg("iterations", |arg| arg.help(format!("{ITERATIONS} [default: 50]"))))]
 pub(crate) struct Factorize {
     /// The views: a folder, a quilt, a picture of tiles or a .npy file. With --sequence, a folder
     /// that contains the views of each time step

@@ -171,14 +171,14 @@ pub(crate) struct FileArgs {
     pub(crate) picture_budget: Option<u64>,
 }
 
+/// Help of `--iterations`, without the default.
+pub(crate) const ITERATIONS: &str = "Number of iterations of the solver. Each iteration updates every layer once, and a directional backlight, if there is one";
+
 /// Changes to the factorization.
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Factorization")]
 pub(crate) struct FactorizeArgs {
-    /// Number of iterations of the solver. Each iteration updates every layer once, and a
-    /// directional backlight, if there is one [default: 50; 16 if a scene is rendered with an
-    /// automatic number of views]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help = format!("{ITERATIONS} [default: 50; 16 if a scene is rendered with an automatic number of views]"))]
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver, which computes the patterns: {}", either(solver_names())))]
     pub(crate) solver: Option<String>,
