@@ -331,8 +331,8 @@ fn photographs_correct_the_pose_of_panels() {
         keep(&shot, &format!("spots_{n}"));
         let mut worst: f64 = 0.0;
         for [col, row] in &spots {
-            // a spot is 12 pixels wide, so its middle is half a pixel to the left of its pixel
-            // [col, row], and half a pixel above this pixel
+            // a spot is 12 pixels wide, so its middle is half a pixel to the left of the centre of
+            // pixel [col, row], and half a pixel above this centre
             let wanted = [(*col as f64 - 0.5 - 209.5) * 1.1, (130.5 - (*row as f64 - 0.5)) * 1.1];
             let around = standing[n].pixel(wanted);
             let (mut sum, mut count) = ([0.0; 2], 0.0);

@@ -137,7 +137,7 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     for (found, expected) in found["eye_mm"].as_array().unwrap().iter().zip(eye) {
         assert!(
             (found.as_f64().unwrap() - expected).abs() < 3.0,
-            "position from corners with an error of a tenth of a pixel: {found}, expected {expected}"
+            "position from corners that are rounded to a tenth of a pixel: {found}, expected {expected}"
         );
     }
     // The computed position differs slightly from the true position. Some rays then hit the next

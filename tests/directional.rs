@@ -1,8 +1,8 @@
 //! The paper's single panel behind a lens array, from the scene to the panels.
 //!
 //! A scene becomes patterns of a backlight and a layer, and these become the pictures of two
-//! panels. The test then traces rays through layer and lenses to the rear panel. It does not use
-//! the display model for this.
+//! panels. The test then traces rays through layer and lenses to the rear panel. This tracing does
+//! not use the display model.
 
 use lumistack_display::{Backlight, Display, LensletBacklight, Projection};
 use lumistack_plugin_panels::{Picture, Shows};
@@ -48,8 +48,8 @@ impl Panel {
 /// Returns the point on the rear panel from which a ray comes. The ray leaves the lens array at the
 /// point `place_mm` with the slope `slope`. `None` if `place_mm` is not on the array.
 ///
-/// The ray is followed backwards: to the lens plane, through a thin lens of this focal length, and
-/// to the focal plane of the lens.
+/// The ray is followed backwards from the lens plane: through a thin lens of focal length
+/// `focal_mm`, and to the focal plane of the lens.
 fn behind(lenses: &LensletBacklight, focal_mm: f64, place_mm: [f64; 2], slope: [f64; 2]) -> Option<[f64; 2]> {
     let mut on_panel = [0.0; 2];
     for axis in 0..2 {

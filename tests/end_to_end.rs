@@ -130,7 +130,7 @@ fn a_numpy_model_of_the_seen_picture_gives_the_reports_zone() {
     }
 }
 
-/// Encodes an array of f32 as `.npy`.
+/// Writes an array of f32 as a `.npy` file.
 fn write_array(path: &Path, shape: &[u64], values: impl IntoIterator<Item = f32>) {
     use npyz::WriterBuilder;
     let file = std::fs::File::create(path).unwrap();

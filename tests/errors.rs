@@ -5,8 +5,8 @@ use std::path::Path;
 
 use crate::common::{self, fail, lumistack, root, succeed, write_test_field};
 
-/// Returns the text of a scene of one triangle. `position` and `extra` make parts of the scene
-/// wrong.
+/// Returns the text of a scene of one triangle, without its last brace. `position` selects an error
+/// in the positions. `extra` has further keys of the primitive.
 fn triangle(position: &str, extra: &str) -> String {
     use base64::Engine as _;
     let mut bytes = Vec::new();

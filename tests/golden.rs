@@ -11,7 +11,7 @@
 //! ```
 //!
 //! must be within the bounds of chance, with Šidák's correction for the number of tests. The test
-//! per pixel is the test of Mitsuba's own suite; it also permits some outliers. Sums over blocks
+//! per pixel is the test of Mitsuba's own suite, which also permits some outliers. Sums over blocks
 //! detect small differences that cover large areas.
 
 use std::path::Path;

@@ -211,8 +211,8 @@ fn a_video_shows_its_time_steps_in_order_and_ends() {
     assert!(live.process.wait().unwrap().success());
 }
 
-/// Commands that change no keys of the job work while the display file is missing. For example, it
-/// is missing while an editor saves it.
+/// Commands that change no keys of the job work while the display file is missing. For example, the
+/// file may be missing while an editor saves it.
 #[test]
 fn commands_that_change_no_keys_need_no_files() {
     let folder = tempfile::tempdir().unwrap();

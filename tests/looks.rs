@@ -61,8 +61,8 @@ fn newest(folder: &Path) -> std::time::SystemTime {
 }
 
 /// The window is far in front of the scene, so hardly any part of the scene is in the display's
-/// depth of field. After `move` some parts are in it. After `compress` nearly all parts are in it,
-/// and the patterns have a higher PSNR.
+/// depth of field. With `--fit-depth`, which moves the window, some parts are in it. With
+/// `--fit-depth=compress` nearly all parts are in it. Each of these two steps raises the PSNR.
 #[test]
 fn fitted_depth_raises_the_quality() {
     let folder = tempfile::tempdir().unwrap();

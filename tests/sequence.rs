@@ -70,8 +70,8 @@ fn times(run: &Path) -> Vec<Value> {
     report(run)["times"].as_array().unwrap().clone()
 }
 
-/// The page shows a still, so the preview of a sequence shows its first time step. The last lines
-/// of the run and a warning of the preview name the folder of the last time step.
+/// The simulator's page shows one time step, so `preview` shows the first one of a sequence. The
+/// last lines of the run and a warning of `preview` name the folder of the last time step.
 #[test]
 fn a_sequence_is_watched_by_its_time_steps() {
     let folder = tempfile::tempdir().unwrap();

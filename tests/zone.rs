@@ -64,7 +64,7 @@ fn sweeps_reports_and_comparisons_give_one_score() {
     }
     assert!(number(&compared["between"]["psnr_db"]) > 10.0 && compared["between"]["ssim"] != 1.0, "{compared}");
     let said = succeed(lumistack().arg("compare").arg(&runs[0]).arg(&runs[0]));
-    assert!(said.contains("Second against the first:      equal"), "{said}");
+    assert!(said.contains("Second run against the first run:          equal"), "{said}");
 }
 
 /// For a given light field, the zone score comes from held-out views. Without held-out views there

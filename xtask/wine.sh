@@ -1,7 +1,7 @@
 #!/bin/sh
 # Runs test programs for Windows in Wine: wine.sh LIST. Each line of the list has the name of a
 # program, its folder, its path and its words, with tabs between them. Prints the time of each
-# program. A program that hangs ends after ten minutes.
+# program. A program that hangs is killed after ten minutes.
 set -eu
 list=$1
 tab=$(printf '\t')

@@ -13,9 +13,9 @@ import lumistack
 
 from . import settings as settings_of
 
-#: Largest number of the score's directions per axis, and the fraction of the zone over which they
-#: reach. The first pair is for Blender's views, the second for views of our path tracer, which cost
-#: less.
+#: Pairs of the largest number of the score's directions per axis, and the fraction of the viewing
+#: zone that these directions span. The first pair is for Blender's views. The second pair is for
+#: views of our path tracer, which cost less.
 SCORED = ((2, 0.7), (4, 1.0))
 #: The panel states the size of light fields that are larger than this.
 LARGE_MIB = 1024.0

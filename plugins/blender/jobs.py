@@ -98,7 +98,7 @@ class Shown:
     folder: Path
     #: The score in directions between the views.
     score: between.Score
-    #: A direction between the views, next to straight ahead.
+    #: The direction halfway between views that is nearest to straight ahead: slopes (x, y).
     beside: tuple[float, float]
 
 
@@ -324,7 +324,7 @@ class Job:
             return pictures.as_shown(path, self.scene)
         picture = pictures.load(path) * 2.0**settings.exposure_ev
         if (picture > 1.0).mean() > CLIPPED:
-            self.warn("look", "more than 1 % of the pixels' values are brighter than white and are clipped: lower the exposure, or set Look to As in Blender")
+            self.warn("look", "more than 1 % of the pixels' values are brighter than white and are clipped; lower the exposure, or set Look to As in Blender")
         return numpy.clip(picture, 0.0, 1.0)
 
     def _trace(self, renderer: str, display, window, folder: Path, start: float, part: float, is_scored: bool):
@@ -348,7 +348,7 @@ class Job:
             # USD files contain hair as curves, so hair is not lost.
             if not (renderer == "USD" and line.startswith("hair")):
                 self.warn(scene.name, line)
-        # For Blender's look our path tracer gives linear light, to which Blender then applies its
+        # With "As in Blender" our path tracer gives linear light, to which Blender then applies its
         # colour management. The light is darkened, so that only values above `brightest` are
         # clipped.
         is_shown = settings.look == "SCENE"
@@ -441,8 +441,8 @@ def text_of(error: BaseException) -> str:
 
 def between_of(display: lumistack.Display, most: tuple[int, float]) -> tuple[list[float], list[float]]:
     """Returns slopes (x, y) between the display's views; empty lists if the display has a single
-    view. `most` is the largest number per axis, and the fraction of the zone over which the slopes
-    reach."""
+    view. `most` is the largest number of slopes per axis, and the fraction of the viewing zone that
+    they span."""
     slope_x, slope_y = display.slopes
     if len(slope_x) * len(slope_y) == 1:
         return [], []
@@ -451,7 +451,7 @@ def between_of(display: lumistack.Display, most: tuple[int, float]) -> tuple[lis
 
 def display_at(display: lumistack.Display, slopes: tuple[list[float], list[float]]) -> lumistack.Display:
     """Returns a display whose views have the given slopes, which are symmetric and at equal
-    distances. Only its light field has a meaning."""
+    distances. Only the geometry of its light field is used, not its layers."""
     described = display.to_dict()
     described["backlight"] = {"kind": "uniform"}
     field = described["field"]

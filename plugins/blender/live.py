@@ -265,7 +265,8 @@ def step() -> bool:
         return True
     state = session.state
     reason = f" ({session.reason})" if session.reason else ""
-    # A program to which the session was attached may name its report relative to another folder.
+    # If the session was attached, use its own path of the run folder. The program may name its
+    # report relative to another working folder.
     place = f"The last state is in {session.run or Path(state.report).parent}"
     if session.is_stopping and session.run is not None:
         ended = f"Detached{reason}: the display in {session.run} keeps its last state"
@@ -340,7 +341,7 @@ _HANDLERS = {"depsgraph_update_post": _changed, "frame_change_post": _changed_al
 
 
 class LUMISTACK_OT_live(bpy.types.Operator):
-    """Start or stop a display that follows every change of the scene, rendered by Lumistack's path tracer"""
+    """Start or stop a display that follows changes of the scene, rendered by Lumistack's path tracer"""
 
     bl_idname = "lumistack.live"
     bl_label = "Live"

@@ -153,8 +153,8 @@ class LUMISTACK_OT_make(_Steps):
     bl_label = "Make Tensor Display"
 
     def _show(self, context):
-        # The view from straight ahead is a view of the solver, so its picture flatters the display.
-        # Show a direction between the views instead.
+        # The view from straight ahead is usually one of the solver's views, so its picture is
+        # better than pictures from other directions. Show a direction between the views instead.
         held = jobs.shown[context.scene.name]
         show_view(context.scene, held.beside)
         if any(held.beside):

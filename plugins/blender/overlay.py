@@ -83,7 +83,7 @@ def placement(scene) -> tuple[object, cameras.Window] | None:
 
 def _key(scene) -> object:
     """Returns a key that changes when the window may change: the camera's data and the frame
-    number."""
+    number. Changes of settings call `forget` instead."""
     camera = key_of_camera(scene)
     return camera and (camera, scene.frame_current)
 
@@ -235,8 +235,8 @@ def cage_of(display, window: cameras.Window, settings):
     """Returns three values of the frame that moves and scales the window.
 
     The first is the matrix of the frame at rest; its centre is the middle of the camera's picture in
-    the window's plane. The second is the size of that picture. The third is the width that is the
-    unit of `window_shift`.
+    the window's plane. The second is the size of the window at `window_size` 1. The third is the
+    width that is the unit of `window_shift`. Lengths are in scene units.
     """
     grown = 1.0 if display.distance_mm is None else (display.distance_mm + settings.moved_back_mm) / display.distance_mm
     width, height = (window.scale * part / settings.window_size for part in window.size_mm)

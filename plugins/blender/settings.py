@@ -197,9 +197,9 @@ def _settings_class():
         "samples": IntProperty(name="Paths", description="Paths per pixel and view of Lumistack's path tracer", default=16, min=1, max=65536),
         "window_from": EnumProperty(
             name="Window",
-            description="Distance of the window from the camera; at Size 1 the window is as wide as the camera's picture at that distance",
+            description="Distance of the window from the camera; by default the window is as wide as the camera's picture at that distance",
             items=[
-                ("AUTO", "Automatic", "The camera's plane of focus or, if its depth of field is off, a distance that near content determines"),
+                ("AUTO", "Automatic", "In the camera's plane of focus; for a camera without focus, at a distance that the visible content determines"),
                 ("DISTANCE", "Distance", "At a distance from the camera"),
             ],
             **draw,

@@ -2,7 +2,7 @@
 
 `python to_usd.py still-life.gltf` makes still-life.usda in the same folder, with its meshes in still-life.usdc. It also makes still-life.usdz, which contains both files and the pictures.
 
-Needs usd-core. Both formats must render to the same picture, so every value is copied unchanged. Features that the generator's scenes do not use are not converted.
+Needs usd-core. Both formats must render to the same picture, so every value is kept, in the conventions of USD. Only the features of glTF that `still-life` uses are converted.
 """
 
 import json

@@ -79,7 +79,7 @@ fn has(program: &str) -> bool {
     found
 }
 
-/// Waits until `look` returns a value. Panics with the text `what` if it takes too long.
+/// Waits until `look` returns a value. Panics after the time `PATIENCE`; `what` names the value.
 pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let end = Instant::now() + PATIENCE;
     loop {
@@ -96,7 +96,7 @@ fn is_root() -> bool {
 }
 
 impl Session {
-    /// Starts sway with headless outputs; `None` if sway is not installed.
+    /// Starts sway with headless outputs; `None` if `has` returns false for a program.
     pub fn sway(outputs: &[Screen]) -> Option<Self> {
         let backend = [("WLR_BACKENDS", "headless".into()), ("WLR_HEADLESS_OUTPUTS", outputs.len().to_string())];
         Self::start_sway(outputs, &backend, None)
@@ -201,7 +201,8 @@ impl Session {
         self.env.iter().find(|(name, _)| *name == key).expect("part of every session").1.clone()
     }
 
-    /// Starts Xorg with the dummy driver; `None` if Xorg is not installed or not permitted.
+    /// Starts Xorg with the dummy driver; `None` if `has` returns false for a program, or if the
+    /// user is not root.
     pub fn xorg(outputs: &[Screen]) -> Option<Self> {
         if !has("Xorg") || !has("xrandr") || !has("import") {
             return None;

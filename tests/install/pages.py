@@ -119,7 +119,7 @@ def run(command: str, folder: Path) -> None:
     `AssertionError` if the command fails, with its output.
     """
     added = made_for(command, ADDED) or []
-    # a command with all its answers as flags asks no questions
+    # `ADDED` has `--questions` for these commands, which contradicts `--no-questions`
     if "--no-questions" in command:
         added = []
     words = shlex.split(command) + list(added)

@@ -24,7 +24,7 @@ Xvfb :93 >xvfb.log 2>&1 &
 screen=$!
 export DISPLAY=:93
 trap 'wineboot --kill || true; kill $screen; rm -rf "$WORK"' EXIT
-# a program that fails ends at once, since Wine starts no debugger
+# WINEDLLOVERRIDES disables Wine's debugger, so a program that crashes ends at once
 wineboot --init
 [ -d "$WINEPREFIX/drive_c/users/$user" ] || { echo "Wine has no user $user" >&2; ls "$WINEPREFIX/drive_c/users"; exit 1; }
 
@@ -52,7 +52,7 @@ small ./windows "$scenes" "$deep"
 ./windows simulate "$deep" --view 4,-2 -o "$deep/view.png"
 [ -s "$deep/view.png" ]
 long=$(find "$WORK/$deep" -type f | awk 'length($0) + length("Z:") > 260' | wc -l)
-# the form of paths without this limit
+# a path that begins with \\?\ may be longer than 260 characters
 ./windows info "\\\\?\\Z:$(echo "$WORK/$deep" | tr / '\\')"
 [ "$long" -gt 100 ] || { echo "only $long files have long paths" >&2; exit 1; }
 same_quality "$deep" linux

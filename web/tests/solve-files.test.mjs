@@ -84,7 +84,7 @@ function limited(module, most) {
   throw new Error("the module has no memory");
 }
 
-/** The letters in one file. The sky is left out, since a .glb contains no pictures for the environment. */
+/** The letters in one file. The sky is left out, since `glb` does not pack the environment's picture. */
 const letters = (edit = () => undefined) =>
   glb(LETTERS, (gltf) => {
     for (const scene of gltf.scenes) delete scene.extras;

@@ -97,10 +97,10 @@ for (const [name, preset] of [
       assert.match(processor.status, /On the processor: the address of this page chooses the processor\.$/);
       assert.doesNotMatch(device.warnings, /processor/);
       const { values, squares, codes } = apart(device.patterns, processor.patterns);
-      console.log(`${name}, ${iterations} iterations: patterns differ by at most ${values.toExponential(1)}, ${squares.toExponential(1)} in the mean, codes by ${codes}`);
+      console.log(`${name}, ${iterations} iterations: patterns differ by at most ${values.toExponential(1)}, root mean square ${squares.toExponential(1)}, codes by at most ${codes}`);
       assert.ok(values > 0, "device and processor round in the same way, so perhaps one of them computed both");
-      // Rounding grows in values that hardly change the emission, so after many iterations only the
-      // mean is compared.
+      // Rounding errors of values that hardly affect the emission grow with every iteration. So
+      // after many iterations only the root mean square of the differences is compared.
       assert.ok((iterations === 1 ? values : squares) <= SAME, `${values}, ${squares}`);
       assert.ok(codes <= 1, `${codes}`);
       if (iterations > 1) await device.at.screenshot({ path: join(SHOTS, `solve-gpu-${preset}.png`), fullPage: true });

@@ -1,6 +1,6 @@
 """Computes a sequence on one and on two workers, and compares the times with the predicted times.
 Also checks that the results have the same bytes after kills of workers and of the client, and after
-a full disk. `cargo xtask bench farm` runs it."""
+a full disk. `cargo xtask bench farm` runs this script."""
 
 from __future__ import annotations
 
@@ -180,8 +180,8 @@ def main() -> int:
         figures["seams"] = seams(place, job, size["times"])
         for warm_up, seam in figures["seams"].items():
             print(
-                f"chunks of {size['times'] // 4} time steps, {warm_up} to warm up: worst seam {seam['psnr_view']:+.2f} dB of error, "
-                f"{seam['psnr_change']:+.2f} dB of flicker; {seam['solves']:.2f} times the solves"
+                f"chunks of {size['times'] // 4} time steps, {warm_up} to warm up: at the first time step of a chunk, PSNR {seam['psnr_view']:+.2f} dB "
+                f"and flicker score {seam['psnr_change']:+.2f} dB at worst; {seam['solves']:.2f} times the solves"
             )
         figures["kills"] = kill_often(job, place / "killed", options, 20)
         assert results(place / "killed") == expected, "bytes differ after kills"

@@ -1,5 +1,5 @@
 """Sends random edits to `lumistack live`, and checks the states that two pages receive, the memory, and the reaction to Ctrl-C.
-`cargo xtask bench live` runs it."""
+`cargo xtask bench live` runs this script."""
 
 from __future__ import annotations
 

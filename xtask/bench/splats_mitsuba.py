@@ -2,9 +2,9 @@
 
 splats_mitsuba.py FOLDER
 
-The two programs differ in three ways. Mitsuba sorts the ellipsoids on every ray by their nearest points, and takes the largest
-value of each Gaussian along the ray. It stops a ray when its transmittance falls to 1 %. Lumistack projects whole splats,
-sorts them by their centres, and filters by a pixel's box. In the cases named `apart`, which have separate splats, order and
+The two programs differ in three ways. Mitsuba sorts the ellipsoids on every ray by the points where the ray enters them. It takes
+the largest value of each Gaussian along the ray, and stops a ray when its transmittance falls to 1 %. Lumistack projects whole
+splats, sorts them by their centres, and filters by a pixel's box. In the cases named `apart`, which have separate splats, order and
 projection make no difference, so the pictures must agree to LEAST_APART dB. Where thousands of splats overlap, the different
 orders limit the agreement, so only LEAST_CAPTURE dB are required.
 """

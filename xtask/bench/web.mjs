@@ -6,8 +6,8 @@
 // navigation. "longest task" is the longest task of the page's main thread, until two seconds after
 // all files have arrived. Firefox reports no tasks, so in Firefox it is the longest time between
 // two animation frames. A median above its limit is an error. The time of a frame includes
-// drawing and reading back the picture in the simulator's thread. In these browsers WebGL2 draws in
-// software. SHOTS gets screenshots of the first five seconds.
+// drawing and reading back the picture in the simulator's thread. On a machine without a graphics
+// processor WebGL2 draws in software. SHOTS gets screenshots of the first five seconds.
 import { mkdirSync } from "node:fs";
 import { join } from "node:path";
 import { chromium, firefox, median, serve } from "./site.mjs";

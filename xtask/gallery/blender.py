@@ -188,7 +188,7 @@ def settings(scene, ours, threads):
     cycles.use_denoising = False
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = 1.0
-    # do not clamp or blur, and trace paths as long as Lumistack's
+    # do not clamp or blur, and trace as many bounces as Lumistack
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.blur_glossy = 0.0
     cycles.caustics_reflective = cycles.caustics_refractive = True

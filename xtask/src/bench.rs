@@ -32,9 +32,9 @@ cargo xtask bench [what]
       NAME           an adapter whose name contains NAME
   stream        a display whose target does not fit into memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames
   outputs       memory of the outputs `images` and `web_simulator` with 4 and with 12 frames of three 4K layers
-  render [scene.gltf]   the path tracer on two cores: rays per second of the tree compared with Embree, and one view of diffuse
+  render [scene.gltf]   the path tracer: rays per second of the tree compared with Embree, and one view of diffuse
                 scenes compared with Mitsuba 3 and Blender's Cycles at equal scene, camera, light and bounces: time, samples per
-                second, mean squared error × time; memory. Scenes: the given one; by default still-life, and FlightHelmet if
+                second, mean squared error × time; memory. Scenes: the given ones; by default still-life, and FlightHelmet if
                 LUMISTACK_ASSETS has it (about 3 minutes each with the other renderers)
       --full         twice the resolution, more samples in the references (25 minutes each)
       --no-peers     only our own measurements
@@ -77,8 +77,8 @@ cargo xtask bench [what]
       --solve        the page that computes patterns, with FlightHelmet, which LUMISTACK_ASSETS must have: time to the first picture, zone score over
                 time compared with the final score, animation frames per second, memory; then the page's own scenes, and the
                 command's result for one of them
-  fuzz          random changes to files of every kind that is read, whole and packed, from our own corpora and those of other
-                projects. A reader must return a value or an error message; a crash or a hang is a failure. Needs a C++ compiler, uses a
+  fuzz          random changes to files of every kind that is read, and to compressed streams in them, from our own corpora and
+                those of other projects. A reader must return a value or an error message; a crash or a hang is a failure. Needs a C++ compiler, uses a
                 nightly Rust if there is one, and fetches cargo-fuzz
       --minutes N    time for each target; default 10
       --target NAME  only this target: load (glTF and its pictures), light_field, quilt, npy, picture, obj, splats, display, job, stack, calibration
@@ -246,7 +246,7 @@ fn peers() -> Vec<[PathBuf; 2]> {
         let fetched = if there() || given.is_some() { Ok(()) } else { fetch(module, &python) };
         match fetched {
             Ok(()) if there() => peers.push([python.clone(), tools::root().join("xtask/bench").join(script)]),
-            Ok(()) => println!("bench: {name} is not compared: {} cannot import the package", python.display()),
+            Ok(()) => println!("bench: {name} is not compared, since {} cannot import the package", python.display()),
             Err(error) => println!("bench: {name} is not compared: {error}"),
         }
     }

@@ -211,7 +211,7 @@ fn has(python: &Path, [package, module]: &[&str; 2]) -> bool {
     }
     let there = imports(python, module);
     if !there {
-        println!("bench: {module} is not compared: {} cannot import the module", python.display());
+        println!("bench: {module} is not compared, since {} cannot import the module", python.display());
     }
     there
 }

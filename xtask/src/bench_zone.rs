@@ -11,7 +11,7 @@ use crate::bench_render::asset;
 use crate::tools::{Outcome, absolute, cargo, command, root, text};
 
 /// Samples per pixel, summed over all views, of the displays that are compared with 5 × 5 views.
-/// These are two for each of 13 × 13 views, and one for each of 15 × 15.
+/// After rounding, each of 13 × 13 views has two samples, and each of 15 × 15 views has one.
 const OWN_SAMPLES: u32 = 300;
 /// Samples per pixel, summed over all views, in all other runs.
 const SAMPLES: u32 = 400;

@@ -117,8 +117,8 @@ struct Reader {
 }
 
 impl Reader {
-    /// Converts a path in the code to a path from the crate's root. Returns `None` if the path
-    /// refers to another crate or to an item of this file.
+    /// Converts a path in the code to a path from the crate's root. Returns `None` if the path does
+    /// not begin with `crate`, `self` or `super`.
     fn whole(&self, path: &[String]) -> Option<Names> {
         let here = || self.source.module.iter().chain(&self.inner).cloned();
         let (first, rest) = path.split_first()?;

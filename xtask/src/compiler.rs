@@ -5,8 +5,8 @@
 //! code. Clippy's driver is rustc with more lints, so one call lints and compiles a crate.
 //!
 //! Cargo starts this program through `RUSTC_WORKSPACE_WRAPPER`, with the path of rustc and the
-//! arguments of rustc. Cargo keeps the results of each wrapper apart. So crates that `cargo test`
-//! has compiled before are compiled again, and checked.
+//! arguments of rustc. Cargo keeps the results of each wrapper apart. So this program also receives
+//! crates that were compiled earlier without the wrapper, and checks them.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -97,7 +97,8 @@ pub fn compile(arguments: &[&str]) -> ExitCode {
     if value("--crate-type") == Some("bin") {
         rustdoc.arg("--document-private-items");
     }
-    // `--check` writes no page. rustdoc calls it unstable, so RUSTC_BOOTSTRAP must allow it.
+    // rustdoc's option `--check` writes no page. This option is unstable, so RUSTC_BOOTSTRAP must
+    // allow it.
     rustdoc.env("RUSTC_BOOTSTRAP", "1").args(["-Zunstable-options", "--check"]);
     run(rustdoc.args(without_output(arguments)).args(strict))
 }

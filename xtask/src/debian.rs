@@ -6,7 +6,7 @@ use std::process::Command;
 
 use crate::tools::{self, Outcome, command, output_of, run};
 
-/// Folder of the copies.
+/// Returns the folder of the copies.
 pub fn folder() -> PathBuf {
     tools::root().join("target/install")
 }

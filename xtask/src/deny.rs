@@ -24,7 +24,7 @@ pub fn check() -> Outcome {
     if !fetched.status.success() {
         let said = String::from_utf8_lossy(&fetched.stderr);
         let cause = said.trim().lines().last().unwrap_or("cargo-deny gave no reason");
-        println!("advisories: not checked: the database (github.com/RustSec/advisory-db) cannot be fetched: {cause}");
+        println!("advisories: not checked, since github.com/RustSec/advisory-db cannot be fetched: {cause}");
         return Ok(());
     }
     tools::run(&mut deny(&["--offline", "check", "advisories"]))

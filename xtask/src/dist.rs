@@ -28,7 +28,7 @@ cargo xtask dist sums
   wheel     the Python package: for any Python from 3.11 on, and for the free-threaded Python 3.14
   npm       the viewer for web pages
   blender   the extension of Blender, a zip for every wheel
-  sbom      all parts with their licences, as CycloneDX
+  sbom      all dependencies with their licences: a bill of materials (CycloneDX), and a text
   test      installs the parts in a clean Debian, or into an empty prefix if there is none, and runs the first job;
             WAY is tarball, deb, wheel, npm, blender, pages (every command of the first pages), arm (in qemu) or windows (in Wine)
   sums      computes the checksums again

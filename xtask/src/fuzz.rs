@@ -51,10 +51,10 @@ pub fn run(minutes: f64, only: Option<&str>) -> Outcome {
     }
     let nightly = output_of(command("rustup").args(["run", "nightly", "cargo", "--version"])).is_some();
     if !nightly {
-        println!("bench: no nightly compiler: the installed compiler measures coverage with RUSTC_BOOTSTRAP=1");
+        println!("bench: without a nightly compiler, the installed compiler measures coverage (RUSTC_BOOTSTRAP=1)");
     }
     let Some(cargo_fuzz) = cargo_fuzz() else {
-        println!("bench: nothing is fuzzed: cargo-fuzz is missing, and could not be installed");
+        println!("bench: nothing is fuzzed, since cargo-fuzz is missing and cannot be installed");
         return Ok(());
     };
     let mut broken = Vec::new();

@@ -44,8 +44,8 @@ pub const PORTABLE: [&str; 11] = [
 /// the command calls only `getrandom::fill`, and only xtask uses `proc-macro2`.
 const RICHER_IN_TESTS: [&str; 2] = ["getrandom", "proc-macro2"];
 
-/// Items of the standard library that portable crates must not use. Files and times are passed to
-/// their functions as arguments.
+/// Items of the standard library that portable crates must not use. Functions of these crates
+/// receive the contents of files, and times, as arguments.
 const NOT_PORTABLE: [&str; 4] = ["std::fs", "std::time::Instant", "std::time::SystemTime", "std::thread::spawn"];
 
 /// Checks the whole workspace.

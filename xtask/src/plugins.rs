@@ -77,7 +77,7 @@ fn sample(target: &Path, folder: &Path) -> Outcome {
         let mut build = command("cargo");
         build.args([task, "--quiet", "--target-dir"]).arg(target.join("sample"));
         build.arg("--manifest-path").arg(root().join(SAMPLE).join("Cargo.toml"));
-        // debug information would take a fifth of the build
+        // debug information would take a fifth of the build's time
         build.env("CARGO_PROFILE_DEV_DEBUG", "false");
         // authors of plugins compile with rustc, not with the compiler of `cargo xtask ci`
         build.env_remove(compiler::WRAPPER);

@@ -302,7 +302,7 @@ pub fn make_python(folder: &Path, purpose: &str) -> Outcome {
 
 /// Makes an empty environment of the Python whose program is `base`.
 pub fn make_python_of(base: &Path, folder: &Path, purpose: &str) -> Outcome {
-    println!("\nfetching: a Python environment with numpy, in {} (used only {purpose})", folder.display());
+    println!("\nfetching: a Python environment, in {} (used only {purpose})", folder.display());
     if let Some(uv) = uv() {
         // `--seed` installs pip, which some programs call
         return run(command(uv).args(["venv", "--quiet", "--seed", "--clear", "--python"]).arg(base).arg(folder));

@@ -122,7 +122,7 @@ pub fn pages() -> Outcome {
         let [built, used] = [PACKAGE, DIST].map(|folder| fs::read(root().join(folder).join(format!("{name}_bg.wasm"))));
         if !matches!((built, used), (Ok(built), Ok(used)) if built == used) {
             return Err(format!(
-                "web: module {name}: expected one content in {PACKAGE} and {DIST}, found different files, or no file; run `cargo xtask web`"
+                "web: module {name}: expected the same file in {PACKAGE} and {DIST}, found different files or no file; run `cargo xtask web`"
             ));
         }
     }

@@ -255,7 +255,7 @@ fn achieved(found: &[Contrast]) -> [String; 3] {
     [
         line(
             "Achieved",
-            "highest frequencies that keep half of the grating's contrast (1: the finest detail of the pixels), with patterns for more views, seen from the whole zone",
+            "highest frequencies that keep half of the grating's contrast (a frequency of 1 is the finest detail of the pixels), with patterns for more views, seen from the whole zone",
             Achieved::WithMoreViews,
         ),
         line("", "patterns for the display's own views, seen from the whole zone", Achieved::InBetween),

@@ -309,7 +309,15 @@ pub(crate) struct Preview {
     pub(crate) no_open: bool,
 }
 
+// `info` describes light fields as they are in their files. So the options that change views when
+// they are read have no effect, and are hidden.
 #[derive(Debug, ClapArgs)]
+#[command(mut_arg("views", |arg| arg.hide(true)))]
+#[command(mut_arg("resolution", |arg| arg.hide(true)))]
+#[command(mut_arg("focus_px", |arg| arg.hide(true)))]
+#[command(mut_arg("mirror_x", |arg| arg.hide(true)))]
+#[command(mut_arg("mirror_y", |arg| arg.hide(true)))]
+#[command(mut_arg("prefilter", |arg| arg.hide(true)))]
 pub(crate) struct Info {
     /// The file or folder, or the name of a built-in display
     pub(crate) file: PathBuf,

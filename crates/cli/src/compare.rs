@@ -112,18 +112,18 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
         say!("{}", json!({ "event": "done", "runs": found, "focused": focused }));
         return Ok(());
     }
-    for (name, zone) in [("First", &found.first_zone), ("Second", &found.second_zone)] {
-        let text = zone.as_ref().map_or("not known".into(), |zone| {
+    for (name, zone) in [("First run", &found.first_zone), ("Second run", &found.second_zone)] {
+        let text = zone.as_ref().map_or("the run's report has no zone score".into(), |zone| {
             format!("PSNR {:.2} dB, in the worst tenth of the directions {:.2} dB", zone.psnr_db, zone.worst_tenth_db)
         });
-        say!("{:30} {text}", format!("{name} over its viewing zone:"));
+        say!("{:42} {text}", format!("{name} over its viewing zone:"));
     }
-    say!("{:30} {} ({} directions)", "Second against the first:", text_of(&found.between), found.directions);
+    say!("{:42} {} ({} directions)", "Second run against the first run:", text_of(&found.between), found.directions);
     for (name, likeness) in
-        [("First against its target", &found.first), ("Second against first's target", &found.second)]
+        [("First run against its target", &found.first), ("Second run against the first run's target", &found.second)]
     {
         if let Some(likeness) = likeness {
-            say!("{:30} {} (views: {})", format!("{name}:"), text_of(likeness), found.views);
+            say!("{:42} {} (views: {})", format!("{name}:"), text_of(likeness), found.views);
         }
     }
     found.pictures.iter().chain(&focused).for_each(|path| say!("{}", path.display()));

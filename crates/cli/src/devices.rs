@@ -72,7 +72,7 @@ pub(crate) fn run(as_json: bool) -> Result<(), PipelineError> {
     match (&adapters, first) {
         (Err(why), _) => say!("{why}; the processor computes the patterns"),
         (Ok(_), None) => {
-            say!("no graphics processor with Vulkan, Metal or Direct3D 12: `--device auto` uses the processor")
+            say!("found no graphics processor with Vulkan, Metal or Direct3D 12, so `--device auto` uses the processor")
         }
         (Ok(_), Some(_)) => say!("`--device auto` uses the graphics processor that is marked with *"),
     }

@@ -115,8 +115,8 @@ pub(crate) struct Calibrate {
     #[arg(long, value_name = "N=FILE", required = true)]
     pub(crate) photo: Vec<String>,
     /// Position of the camera's lens: X right, Y up, Z in front of the display, millimetres. Give
-    /// the same value to `lumistack show`, and photograph from this position [default: straight
-    /// ahead at the viewing distance, or 2000 mm]
+    /// the same value to `lumistack show`, and photograph from this position. The default is
+    /// straight ahead at the display's viewing distance, or at 2000 mm if the display has none
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) eye_mm: Option<Numbers<3>>,
     /// Print the result, but do not write it to the display file
@@ -149,7 +149,11 @@ type Known = (String, [usize; 2], Option<f64>);
 fn system_outputs() -> Result<Vec<Known>, String> {
     let outputs = lumistack_plugin_panels::window::outputs().map_err(|error| error.to_string())?;
     let known: Vec<Known> = outputs.into_iter().map(|output| (output.name, output.size, output.refresh_hz)).collect();
-    if known.is_empty() { Err("expected outputs for panels, found none: no monitor is on".into()) } else { Ok(known) }
+    if known.is_empty() {
+        Err("expected outputs for panels, found none, since no monitor is on".into())
+    } else {
+        Ok(known)
+    }
 }
 
 fn positive(text: &str) -> Option<f64> {

@@ -525,7 +525,7 @@ fn python() -> Result<PathBuf, PipelineError> {
         "farm",
         "Python",
         expected,
-        format!("only Pythons that lack at least one of the packages: {}", tried.join("; ")),
+        format!("only Pythons that cannot import both packages: {}", tried.join("; ")),
     ))
 }
 

@@ -77,7 +77,7 @@ pub(crate) struct RenderArgs {
     /// View the scene from this azimuth and elevation, degrees, even if the file has a camera.
     /// Azimuth 0 is the front, +z; positive azimuths lie to the right of the front, towards +x.
     /// Without this flag and without a camera, the scene is seen from the front, or from another
-    /// side if the front shows hardly anything
+    /// side if that side shows much more
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
     /// Hide content that is farther in front of the window than this distance: auto, off, or a

@@ -52,6 +52,9 @@ use crate::values::Numbers;
 /// Examples and commands that `lumistack live --help` prints.
 pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb\n      updates the display when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n      updates a smaller display when the job or its scene is saved again\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n      starts with another brightness\n  lumistack live views/ --times --rate 12\n      plays a video of 12 light fields per second\n  lumistack live model.glb --opentrack 4242\n      follows the head whose position OpenTrack sends to this UDP port\n\nStandard input accepts commands. Each line is a JSON object, such as:\n  {\"set\": {KEY: VALUE, ...}}       changes keys of the job\n  {\"time\": SECONDS}                changes the time of the scene's animation\n  {\"viewers\": [[X, Y, Z], ...]}    states the positions of the viewers' heads, millimetres\n  {\"reload\": true}                 reads the files of the scene or light field again\n  {\"stop\": true}                   ends the display\n  {\"stop_at_end\": true}            ends the display when standard input ends\n\nWhen the display ends, also by Ctrl-C, its last state is written as a run folder. docs/LIVE.md has the details.";
 
+/// Help of `--denoise`. A live display shares light between views with every kind except `off`.
+const DENOISE: &str = "Filter that removes noise from views: auto, shared, off, guided or oidn. With off, the views stay as they are traced. With every other kind, light that several views see alike is averaged over these views";
+
 /// Interval at which files are checked for changes.
 const LOOK: Duration = Duration::from_millis(100);
 /// Interval at which threads check whether the display has stopped.
@@ -61,6 +64,9 @@ const RATES_HZ: [f64; 2] = [0.001, 1000.0];
 
 #[derive(Debug, ClapArgs)]
 #[command(mut_arg("iterations", |arg| arg.hide(true)))]
+#[command(mut_arg("warm_start", |arg| arg.hide(true)))]
+#[command(mut_arg("engine", |arg| arg.hide(true)))]
+#[command(mut_arg("denoise", |arg| arg.help(DENOISE)))]
 pub(crate) struct Live {
     /// Job file (.toml), scene, or light field that states its geometry; with --times a folder of
     /// light fields
@@ -82,7 +88,8 @@ pub(crate) struct Live {
     pub(crate) show: Option<String>,
     /// Largest number of iterations from one shown state to the next. An iteration updates every
     /// layer once, and a directional backlight, if there is one. The number is reduced if the
-    /// iterations would take longer than 0.3 s. --iterations has no effect on a live display
+    /// iterations would take longer than 0.3 s. --iterations and --warm-start have no effect on a
+    /// live display
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub(crate) updates: u32,
     /// Read the input as a video: a folder of light fields, one per time step, in the order of

@@ -9,7 +9,7 @@ fn main() -> ExitCode {
     let words: Vec<_> = std::env::args_os().collect();
     #[cfg(feature = "dynamic")]
     {
-        // This process has its own process group, so Ctrl-C reaches only the parent process.
+        // The process of a plugin has its own process group, so Ctrl-C reaches only its parent.
         if words.get(1).is_some_and(|word| word == lumistack_cli::PLUGIN_CHILD) {
             return ExitCode::from(lumistack_cli::plugin_child(&words[2..]));
         }

@@ -174,7 +174,7 @@ scene = {scene}
 #frames = 6
 
 [window]
-# direction of the viewer, degrees to the right and up; without this key, the window shows the view of the file's camera, or the front
+# direction of the viewer, degrees to the right and up; without this key, the file's camera determines the view; without a camera, the scene is seen from the front, or from a side that shows much more
 #look_from = [20.0, 10.0]
 # \"auto\" brings the scene into the depths that the display shows sharply; \"off\" leaves depth as it is
 #fit_depth = \"auto\"

@@ -60,7 +60,7 @@ fn small_first(job: &Job, folder: &Path, registry: &Registry, seconds: f64) -> O
     let [cols, rows] = resolution;
     (small_seconds < 0.5 * seconds).then(|| {
         format!(
-            "this run takes about {}; try a small run in another folder first: a run with --resolution {cols}x{rows} --zone-samples {SMALL_ZONE_SAMPLES} takes about {}",
+            "this run takes about {}; first try a small run in another folder, with --resolution {cols}x{rows} --zone-samples {SMALL_ZONE_SAMPLES}, which takes about {}",
             duration_text(seconds),
             duration_text(small_seconds)
         )

@@ -215,7 +215,7 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
         }
     };
     set("hold", args.hold.map(Value::from));
-    // For the presenter 0 means "not set", so the options refuse 0.
+    // For the presenter 0 means "not set", so these options must be above 0.
     let eye_z_mm = args.eye_mm.map(|eye| eye.0[2]);
     for (flag, key, value) in [("--duration-s", "value", args.duration_s), ("--eye-mm", "Z", eye_z_mm)] {
         if let Some(found) = value.filter(|value| *value <= 0.0) {
@@ -250,7 +250,7 @@ fn list(json: bool) -> Result<(), PipelineError> {
         say!("{}", describe(output, json));
     }
     if outputs.is_empty() && !json {
-        say!("found no outputs: no monitor is on");
+        say!("found no outputs, since no monitor is on");
     }
     Ok(())
 }

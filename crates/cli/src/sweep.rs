@@ -29,7 +29,10 @@ Examples:
   lumistack sweep model.glb --frames 1..8 --max-panels 3 --enough-db 35";
 
 /// The sweep to run.
+// The processor solves all designs of a sweep, without a warm start, so two options are hidden.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("device", |arg| arg.hide(true)))]
+#[command(mut_arg("warm_start", |arg| arg.hide(true)))]
 pub(crate) struct Sweep {
     /// Job file (.toml; it may have a table [sweep]) or scene
     input: PathBuf,

@@ -5,7 +5,7 @@
 use std::sync::LazyLock;
 
 /// Number of equal bins into which [`SrgbCodes`] divides the range 0..1. The search for a value's
-/// code starts with the code at the lower end of a bin.
+/// code starts with the code at the lower end of the value's bin.
 const BINS: usize = 4096;
 
 /// A table of the codes that [`srgb_code`] returns. Without the table, `f32::powf` would take most

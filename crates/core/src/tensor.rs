@@ -134,12 +134,12 @@ impl<const N: usize> Tensor<N> {
         shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n))
     }
 
-    /// Axis names, outermost first.
+    /// Returns the names of the axes, outermost first.
     pub fn axes(&self) -> [&'static str; N] {
         self.axes
     }
 
-    /// Axis lengths, outermost first.
+    /// Returns the lengths of the axes, outermost first.
     pub fn shape(&self) -> [usize; N] {
         self.shape
     }

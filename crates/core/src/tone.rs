@@ -148,8 +148,8 @@ fn stops(value: f32) -> f32 {
 }
 
 /// Computes AgX's sigmoid at `x`, a position in the range of stops, 0..1. The slope at middle grey
-/// (x₀, y₀) is SLOPE. Below x₀, s makes the result 0 at x = 0. Above x₀, s makes the result 1 at
-/// x = 1:
+/// (x₀, y₀) is SLOPE. The scale s has two values. Below x₀, its value makes the result 0 at x = 0.
+/// Above x₀, its value makes the result 1 at x = 1:
 ///
 /// ```text
 /// s·h(SLOPE (x − x₀)/s) + y₀,   h(t) = t/(1 + |t|^POWER)^(1/POWER)

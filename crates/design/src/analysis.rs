@@ -96,7 +96,7 @@ pub struct Zone {
     /// Number of views.
     pub views: [usize; 2],
     /// Difference of slope between neighbouring views. If an axis with a fixed number of views has
-    /// one view, the range of slopes that this view stands for.
+    /// one view, this is the range of slopes that the view stands for.
     pub step: [f64; 2],
     /// Smallest distance at which an eye on the axis sees the whole display within the zone,
     /// millimetres. For pinhole views, this is the distance for which they are made.

@@ -88,8 +88,8 @@ pub struct Row {
     /// other scores are over all time steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
-    /// Results of each node, for a job with several nodes. The other fields of this row have the
-    /// results of the first node.
+    /// Results of each node, for a job with several nodes. The scores above are then the scores of
+    /// the first node.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeRow>,
 }

@@ -86,7 +86,7 @@ impl LightField {
         [view_rows, view_cols, geometry.rows, geometry.cols, 3]
     }
 
-    /// Pixels and views of the light field.
+    /// Returns the pixels and views of the light field.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }

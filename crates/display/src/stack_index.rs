@@ -57,7 +57,7 @@ pub struct BacklightEntry {
     pub lenslets: [usize; 2],
     /// Lenslet pitch, millimetres.
     pub pitch_mm: f64,
-    /// [horizontal, vertical] full angle of the bins, degrees.
+    /// [horizontal, vertical] full angle over which all bins together spread, degrees.
     pub fov_deg: [f64; 2],
     /// [horizontal, vertical] number of angular bins.
     pub views: [usize; 2],

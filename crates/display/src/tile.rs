@@ -79,7 +79,7 @@ impl Tiling {
         self.tiles().iter().product()
     }
 
-    /// Columns and rows of tiles.
+    /// Returns the numbers of columns and rows of tiles.
     pub fn tiles(&self) -> [usize; 2] {
         [0, 1].map(|axis| self.axes[axis].0.len())
     }

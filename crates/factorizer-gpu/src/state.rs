@@ -16,7 +16,8 @@ use crate::text::{FIRST_FACTOR, Program, Update};
 use crate::values::Values;
 use crate::wait;
 
-/// Advice for a display that the device cannot solve. In a page the processor solves instead.
+/// Advice to the user if the device cannot solve a display. In a web page the advice is empty,
+/// since the page then solves on the processor by itself.
 const REMEDY: &str = if cfg!(target_arch = "wasm32") { "" } else { "; solve on the processor with --device cpu" };
 
 /// The patterns of a run on a device.

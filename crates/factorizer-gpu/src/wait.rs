@@ -1,8 +1,8 @@
 //! Waits for answers of the device.
 //!
 //! In a page the answers are promises. There the module suspends until they settle (JavaScript
-//! Promise Integration), so that solvers need no second, asynchronous form. For this, every call
-//! must come from an exported function with the attribute `jspi`.
+//! Promise Integration), so that solvers need no second, asynchronous form. For this, every call of
+//! this file's functions must come from an exported function with the attribute `jspi`.
 
 #[cfg(not(target_arch = "wasm32"))]
 pub(crate) use native::{answer, block_on};

@@ -27,8 +27,8 @@ const OBJECTIVE_TOLERANCE: f64 = 1e-4;
 const OBJECTIVE_PER_VALUE: f64 = 1e-11;
 /// Largest relative difference of an objective whose terms are summed in another order.
 const SUM_TOLERANCE: f64 = 1e-5;
-/// Smallest influence on the emission of a value for which device and processor are compared.
-/// Rounding decides a value with less influence.
+/// A value is compared between device and processor only if its influence on the emission is at
+/// least this. Rounding decides a value with less influence.
 const DETERMINED: f32 = 0.1;
 /// Number of iterations whose updates are compared one by one.
 const COMPARED_ITERATIONS: usize = 4;

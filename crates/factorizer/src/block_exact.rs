@@ -226,8 +226,8 @@ mod tests {
     /// Tolerance of sums in single precision.
     const ROUNDING: f64 = 1e-4;
 
-    /// In a tile with fixed pixels, an update skips rows of rays without free pixels. So the error
-    /// that the update reports lacks these rays. The restart must compare whole objectives.
+    /// In a tile with fixed pixels, an update skips rows of rays that read no free pixel. So the
+    /// error that the update reports lacks these rays. The restart must compare whole objectives.
     #[test]
     fn the_restart_compares_whole_objectives_in_a_tile_with_fixed_pixels() {
         let whole = Display::uniform([32, 24], 1.0, [3, 3], [20.0, 20.0], &[-6.0, 0.0, 6.0], 2);

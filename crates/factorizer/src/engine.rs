@@ -37,8 +37,8 @@ pub struct Engine {
     display: Display,
     /// Values that rays read: layers rear to front, then the backlight.
     factors: Vec<Factor>,
-    /// For each factor whose rays read other values than the stored values: its response and its
-    /// stored values.
+    /// For each factor with a response, such as blur: the response and the stored values. Rays read
+    /// the values that the response makes of the stored values.
     stored: Vec<Option<(Response, Factor)>>,
     /// For each factor whose values are confined to levels: these levels, and the frames that are
     /// confined.
@@ -183,7 +183,7 @@ impl Engine {
         let in_place = self.is_fast(n);
         let mut values = std::mem::take(&mut self.factors[n].values);
         if !in_place {
-            // rays through a line read other lines of the factor, which must keep their values
+            // rays through a line may read other lines of the factor, which must keep their values
             // during the update
             let mut next = std::mem::take(&mut self.spare);
             if next.len() != values.len() {

@@ -34,8 +34,8 @@ pub struct Settings {
     /// Kind of start, unless a warm start is given. With `None` the solver determines the kind.
     pub start: Option<StartKind>,
     /// Number of coarser levels at which a run begins, each at half the resolution of the next.
-    /// Levels that are too small are left out. With `None` the solver determines the number. A warm
-    /// start has no coarser levels.
+    /// Levels without use, for example with too few pixels, are left out. With `None` the solver
+    /// determines the number. A warm start has no coarser levels.
     pub coarse_levels: Option<u32>,
     /// Number of iterations at each coarser level.
     pub coarse_iterations: u32,

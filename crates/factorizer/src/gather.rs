@@ -98,7 +98,8 @@ impl GatherFunctions {
                 [backend.function::<$kernel<$frames, $others, $($whole),*>>(), backend.function::<$kernel<$frames, $others, $($masked),*>>()]
             };
         }
-        // more frames do not fit into the registers of any instruction set
+        // the listed numbers of frames have functions that sum in registers; other numbers use
+        // buffers
         let [whole, masked] = match rule.sums() {
             Sums::Gram => in_registers!(Gram((false), (true)) for 1, 2, 3, 4, 6),
             Sums::Ratio => in_registers!(Pairs((false, false), (true, false)) for 1, 2, 3, 4, 6, 8),

@@ -22,9 +22,9 @@
 //!     ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
 //! ```
 //!
-//! [`factorize`] runs a solver; [`solvers`] lists them. [`held_bytes`] bounds the memory that a
-//! factorization takes in addition to the caller's target. The target is copied at the start and
-//! may be in a mapped file. [`ChannelRun`] solves one colour channel whose target stays in its
+//! [`factorize`] runs a solver; [`solvers`] lists all solvers. [`held_bytes`] bounds the memory
+//! that a factorization takes in addition to the caller's target. The target is copied at the start
+//! and may be in a mapped file. [`ChannelRun`] solves one colour channel whose target stays in its
 //! file. For a given seed and instruction set, results are the same bytes on any number of threads.
 
 // the example of README.md is a test

@@ -226,7 +226,7 @@ impl Plan {
 /// Converts the taps (the pixels that rays read) of layers and lenslets to one form, in which a
 /// miss is `None`.
 fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
-    // the taps of layers have the common form already
+    // for layers, a miss becomes `None`, and weights that are only rounding are removed
     let hit = |taps: &[Tap]| taps.iter().map(|tap| (!tap.is_missed()).then(|| snapped(*tap))).collect();
     let mut maps: Vec<RawMap> = map
         .layers

@@ -9,7 +9,8 @@ use serde_json::json;
 use crate::file::{File, limit_seconds, plain};
 use crate::graph::{Graph, Group};
 
-/// A script that submits the jobs. It adds the ids of the jobs on which each job depends.
+/// A script that submits the jobs. To each job, it adds the ids of the jobs on which the job
+/// depends.
 const SUBMIT: &str = include_str!("deadline.py");
 
 pub(crate) fn export(graph: &Graph) -> Vec<File> {

@@ -1,10 +1,11 @@
 //! Assembles a light field in memory or in a file from a source. Views are selected, focused,
 //! cropped and reduced, and their values are checked.
 //!
-//! A camera at position p (in steps, right and up) sees content of disparity k (pixels per step)
-//! shifted by k·p pixels. The shift is to the left and downwards, relative to the central camera.
-//! That content moves to z = 0 if pixel (column c, row r) of view p is read at column c − k·p and
-//! row r + k·p. The result is the rectangle of pixels that exist in all views.
+//! Let a camera be at position (x, y), in steps to the right and up. Relative to the central
+//! camera, this camera sees content of disparity k (pixels per step) k·x pixels further left and
+//! k·y pixels lower. That content moves to z = 0 if pixel (column c, row r) of this camera's view
+//! is read at column c − k·x and row r + k·y. The result is the rectangle of pixels that exist in
+//! all views.
 
 use std::path::Path;
 
@@ -280,8 +281,8 @@ impl Window {
     }
 
     /// Chooses the size of the result so that its pixels are square. With `resolution`, crops the
-    /// rectangle to this aspect. `pixel_aspect` is the width of a file's pixel divided by its
-    /// height.
+    /// rectangle to the aspect of `resolution`. `pixel_aspect` is the width of a file's pixel
+    /// divided by its height.
     fn fit(&mut self, source: &Source, resolution: Option<[usize; 2]>, pixel_aspect: f64) -> Result<(), FieldError> {
         let pixel_aspect = if (pixel_aspect - 1.0).abs() < SQUARE { 1.0 } else { pixel_aspect };
         let rounded = |length: f64| (length.round() as usize).max(1);
@@ -384,7 +385,7 @@ impl Range {
             let (count, lowest) = (self.negative, self.lowest);
             task.warn(
                 geometry::place(path),
-                format!("values below -0.001, which are set to 0: {count}; the lowest value is {lowest}"),
+                format!("values below -0.001 are set to 0 (number of these values: {count}; lowest value: {lowest})"),
             );
         }
     }

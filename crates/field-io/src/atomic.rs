@@ -72,8 +72,8 @@ pub(crate) fn remove(path: &Path) -> Result<(), FieldError> {
 /// removes the renamed file, which has no writer (see [`is_abandoned`]).
 ///
 /// # Errors
-/// If the file is protected from writing, or the system refuses. On systems other than Windows
-/// always, since they have no such restriction.
+/// If the file is protected from writing, or the system refuses. On systems other than Windows,
+/// this function always fails, since they have no such restriction.
 fn set_aside(path: &Path) -> io::Result<()> {
     if !cfg!(windows) || fs::metadata(path)?.permissions().readonly() {
         return Err(io::ErrorKind::PermissionDenied.into());

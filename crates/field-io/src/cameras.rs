@@ -281,7 +281,8 @@ mod tests {
             ("input_Cam001", None),
         ] {
             // In "scene_2_01_02", row and column are the pair that ends the name, 01 and 02. The
-            // first pair, 2 and 01, is followed by a single number, so it is a part of the prefix.
+            // first pair, 2 and 01, is rejected, since a single number follows it, not the two
+            // numbers of a centre.
             assert_eq!(parse_name(stem), expected, "{stem}");
         }
     }

@@ -154,7 +154,7 @@ fn write_view_as(
 /// lists each view [view_y, view_x] once. Files have the same names as in the folder of the whole
 /// field.
 ///
-/// If `views` holds all crossings of some view rows with some view columns, the result is a
+/// If `views` holds every combination of some view rows and some view columns, the result is a
 /// complete light field. Its index has the slopes of these rows and columns only. If some rows or
 /// columns are missing, `info.part_of` lists the selected rows and columns, and has the numbers of
 /// view rows and view columns of the whole field. For another selection, the index has the slopes
@@ -181,7 +181,7 @@ pub fn write_views(
     if views.len() == all[0] * all[1] {
         return write_index(folder, geometry, info);
     }
-    // All crossings of some rows and columns form a complete light field. Other selections are
+    // All combinations of some rows and columns form a complete light field. Other selections are
     // marked partial.
     let of_axis = |axis: usize| views.iter().map(|view| view[axis]).collect::<BTreeSet<_>>().into_iter().collect();
     let [rows, cols]: [Vec<usize>; 2] = [of_axis(0), of_axis(1)];

@@ -33,7 +33,8 @@ pub struct GeometryFlags {
     /// possible.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub views: Option<[usize; 2]>,
-    /// [columns, rows] of tiles of a quilt whose name does not contain them.
+    /// [columns, rows] of tiles of a quilt. They override the numbers in the name of the quilt's
+    /// file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quilt: Option<[usize; 2]>,
     /// [horizontal, vertical] views of a single picture of tiles, with view (0, 0) at the top left.

@@ -27,8 +27,8 @@
 
 use lumistack_display::FieldGeometry;
 
-/// The range of slopes [x, y] over which a light field may be averaged for a display, as a function
-/// of the light field's geometry.
+/// A function of a light field's geometry. It returns the widths [x, y] of the range of slopes over
+/// which the light field may be averaged for a display.
 pub type Footprint<'a> = &'a dyn Fn(&FieldGeometry) -> [f64; 2];
 
 /// For every kept view along one axis: the views that are averaged into it, and their weights.

@@ -281,8 +281,8 @@ impl<'a> Elements<'a> {
         // the stride is the distance from the start of one element to the start of the next
         let mut stride = view.stride.unwrap_or(size);
         if stride != size && !may_stride {
-            // glTF allows no stride here. Like most readers, this reader applies a larger stride if
-            // the elements fit into the view with it. Any other stride has no effect.
+            // glTF allows no stride here. Like most readers, this reader applies a stride above the
+            // element's size if the elements fit into the view. Any other stride has no effect.
             let room = (length as u64).saturating_sub(offset);
             let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
             let followed = stride > size && needed <= room;

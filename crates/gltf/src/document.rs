@@ -97,7 +97,8 @@ impl<'a> Document<'a> {
         // equals the index
         let written = self.json(place).and_then(Value::as_u64);
         match self.root.get(index) {
-            // without a number at `place`, there is nothing to compare, since the object is there
+            // a caller that iterates over a list gives a place without a number, so there is
+            // nothing to compare
             Some(item) if written.is_none_or(|written| written == index.value() as u64) => Ok(item),
             _ => {
                 let count = AsRef::<[T]>::as_ref(&self.root).len();
@@ -120,7 +121,7 @@ impl<'a> Document<'a> {
             return Err(Fault::new(
                 place,
                 expected,
-                format!("more: {place} needs {bytes} bytes in addition to the parts that were decoded before"),
+                format!("a larger scene, since {place} needs {bytes} bytes in addition to the parts decoded before"),
             ));
         }
         self.decoded_bytes.set(total);

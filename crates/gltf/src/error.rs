@@ -10,7 +10,7 @@ use thiserror::Error;
 /// A glTF file that could not be loaded.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum GltfError {
-    /// The file, or a file that it refers to, is broken.
+    /// A value in the file, or in a file to which it refers, cannot be used.
     #[error("{file}: {place}: expected {expected}, found {found}")]
     Malformed {
         /// The file as the caller named it.

@@ -56,7 +56,7 @@ const EXTENSIONS: [(&str, Handling); 37] = [
     ("KHR_materials_volume_scatter", NotRead("")),
     (
         "KHR_techniques_webgl",
-        NotRead("; its shaders do not describe how surfaces reflect light: export metallic-roughness materials"),
+        NotRead("; its shaders do not describe how surfaces reflect light, so export metallic-roughness materials"),
     ),
     ("MSFT_texture_dds", NotRead("; `gltf-transform png IN OUT` writes pictures that can be read")),
 ];

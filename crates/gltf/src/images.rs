@@ -10,7 +10,7 @@ use crate::error::Fault;
 use crate::unpack::{Packed, Unpacked, Use};
 
 /// Images in the order of first use. Their headers are read at first use, and all pictures are
-/// decoded at the end. So a scene whose pictures are too large in sum is refused before the first
+/// decoded at the end. So a scene whose pictures are too large in sum is refused before any picture
 /// is decoded.
 #[derive(Default)]
 pub(crate) struct Images {

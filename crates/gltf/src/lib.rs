@@ -96,8 +96,8 @@ pub trait AssetResolver {
     /// `max_bytes` is an error, too; the resolver must not read such a file.
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String>;
 
-    /// Decodes packed content. A web page whose decoders are in another module passes the content
-    /// to that module.
+    /// Decodes packed content. A web page replaces this function if its decoders are in another
+    /// WebAssembly module, to which the page then passes the content.
     ///
     /// # Errors
     /// If the content is broken, or if its decoder panics.

@@ -160,8 +160,8 @@ fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, F
     Ok(used)
 }
 
-/// Reads each mesh of the scene, and places the mesh for each node that shows it. A node with a
-/// skin or with morph weights gets its own copy of the mesh; all other nodes share one copy.
+/// Reads each mesh of the scene, and places the mesh for each node that shows it. A node that
+/// deforms the mesh by a skin or by morph weights gets its own copy; all other nodes share one.
 fn place_meshes(
     document: &Document<'_>,
     nodes: &Nodes,

@@ -9,7 +9,7 @@ use crate::error::Fault;
 use crate::fields::Fields;
 use crate::textures::Loader;
 
-/// Reads every extension of the material at `place`.
+/// Reads the extensions that the head of this file lists, for the material at `place`.
 pub(crate) fn read(loader: &mut Loader<'_, '_>, material: &mut Material, place: &str) -> Result<(), Fault> {
     let document = loader.document;
     let extension = |name: &str| Fields::at(document, format!("{place}/extensions/KHR_materials_{name}"));

@@ -2,9 +2,9 @@
 //!
 //! The reader of glTF passes [`Packed`] content to
 //! [`AssetResolver::unpack`](crate::AssetResolver::unpack), whose default is [`unpack`] here. A web
-//! page may have its decoders in a second module. Then [`to_bytes`](Packed::to_bytes) encodes a
-//! request. In the second module, [`answer`] decodes the content, and returns the result as bytes,
-//! which [`answered`] reads.
+//! page may have its decoders in a second WebAssembly module. Then
+//! [`to_bytes`](Packed::to_bytes) encodes a request for that module. There, [`answer`] decodes the
+//! content, and returns the result as bytes, which [`answered`] reads in the first module.
 
 mod draco;
 mod kinds;
@@ -41,8 +41,8 @@ pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
     contained(packed, decode)
 }
 
-/// Decodes common pictures ([`Packed::is_common`]) to the same results as [`unpack`]. A module that
-/// calls only this function is small, since it contains no other decoder.
+/// Decodes common pictures ([`Packed::is_common`]) to the same results as [`unpack`]. A
+/// WebAssembly module that calls only this function is small, since it contains no other decoder.
 ///
 /// # Errors
 /// The errors of [`unpack`], and an error for all content except common pictures.

@@ -10,12 +10,12 @@
 //! around the eye. The light field has views L_v at other positions. So the radiance of a ray is
 //! the mean of the four views around the ray, with the bilinear weights w_v.
 //!
-//! Between two native slopes of the display (see `display/src/native.rs`), an eye sees mixtures of
-//! neighbouring products of pixels. Larger weights of the light field's own views would constrain
-//! these products, but not their mixtures. Views from the eyes constrain the mixtures, if the
-//! layers are sampled [bilinearly](Sampling::Bilinear). The gain at the eyes over patterns for the
-//! whole zone was measured in the test with recorded heads. Views from the eyes gained 14 dB.
-//! Larger weights gained 1 to 2 dB.
+//! Between two native slopes of the display (see `display/src/native.rs`), an eye sees weighted
+//! means of several products of pixels' transmittances. Larger weights of the light field's own
+//! views would constrain these products, but not their means. Views from the eyes constrain the
+//! means, if the layers are sampled [bilinearly](Sampling::Bilinear). The gain at the eyes over
+//! patterns for the whole zone was measured in the test with recorded heads. Views from the eyes
+//! gained 14 dB. Larger weights gained 1 to 2 dB.
 
 use lumistack_core::Tensor;
 use lumistack_display::{Display, GridError, LightField, Projection, Sampling, ViewGrid, WeightError, Weights};

@@ -79,8 +79,8 @@ struct Last {
 }
 
 impl Solver {
-    /// Makes a solver. `settings` are used for fresh starts, but their number of iterations is
-    /// ignored.
+    /// Makes a solver. Warm starts also use `settings`, but with the solver `block-exact` instead
+    /// of `auto`. The number of iterations in `settings` is ignored.
     pub fn new(settings: Settings) -> Self {
         Self { settings, last: None }
     }

@@ -123,7 +123,7 @@ fn scenes() -> Vec<SceneSpec> {
     let lean = Mat3::from_rotation_x(-0.7);
     let floor = |surface| (panel(Vec3::new(0.0, 0.0, -0.6), lean * Vec3::X * 2.5, lean * Vec3::Y * 2.5), surface);
     // The lamp's front, u × v, faces down and away from the camera. A black panel right behind the
-    // lamp hides its back, since renderers disagree on the light from a back.
+    // lamp hides the lamp's back, since renderers disagree on the light from a back.
     let (lamp_u, lamp_v) = (Vec3::X * 0.6, Vec3::new(0.0, -0.42, 0.42));
     let lamp_at = Vec3::new(0.3, 1.1, 1.2);
     let lamp = |radiance| (panel(lamp_at, lamp_u, lamp_v), Surface::Light(radiance));

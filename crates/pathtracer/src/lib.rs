@@ -1,5 +1,6 @@
-//! Unbiased path tracer: computes radiance from a [`Scene`](lumistack_scene::Scene), a
-//! [`Window`](lumistack_scene::Window) and a view grid.
+//! Path tracer: computes radiance from a [`Scene`](lumistack_scene::Scene), a
+//! [`Window`](lumistack_scene::Window) and a view grid. By default, the radiance is unbiased except
+//! for the limit on bounces.
 //!
 //! ```text
 //! L(x, s) = ∫ over paths of the light that reaches the point x of z = 0 along slope s

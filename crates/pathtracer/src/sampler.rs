@@ -69,8 +69,8 @@ impl SampleBank {
     }
 
     /// Makes a bank with the larger of `points` and `samples` points per pixel, rounded up to a
-    /// power of two, but at most [`LONGEST`]. [`Draws::parts`] describes the first `samples`
-    /// points. The first points of a scrambled sequence are stratified, as the whole sequence is.
+    /// power of two, but at most [`LONGEST`]. [`Draws::parts`] depends only on `samples`, since the
+    /// first points of a scrambled sequence are stratified, as the whole sequence is.
     pub(crate) fn with_more(samples: u32, points: u32) -> Self {
         let length = points.max(samples).clamp(1, LONGEST).next_power_of_two();
         let parts = 1 << samples.clamp(1, LONGEST).ilog2();
@@ -114,9 +114,9 @@ impl SampleBank {
 
 impl Draws<'_> {
     /// Returns the number of equal parts into which a pixel's samples stratify [0, 1), at most
-    /// [`LONGEST`]. If a pixel has at most [`LONGEST`] samples, each part holds one or two of their
-    /// numbers, for both dimensions of every pair. If the number of samples is a power of two, each
-    /// part holds one.
+    /// [`LONGEST`]. If a pixel has at most [`LONGEST`] samples, each part holds the numbers of one
+    /// or two samples, in both dimensions of every pair. If the number of samples is a power of
+    /// two, each part holds the number of one sample.
     #[inline]
     pub(crate) fn parts(&self) -> u32 {
         self.bank.parts

@@ -44,8 +44,8 @@ pub struct Settings {
     /// Largest value of any channel of a single path, > 0. Brighter paths are dimmed to it, which
     /// loses light and is reported as a warning. Default `None`: the estimate stays unbiased.
     pub clamp: Option<f32>,
-    /// True if primary rays that miss all surfaces see black instead of the environment. The
-    /// environment lights the scene in either case. Default false.
+    /// True if primary rays that miss all surfaces see black instead of the environment or the
+    /// backdrop. The environment lights the scene in either case. Default false.
     pub hide_environment: bool,
 }
 
@@ -92,7 +92,8 @@ impl Settings {
     }
 
     /// Returns true if pixels on smooth surfaces have fewer paths. A pixel with more than [`BEAM`]
-    /// rays keeps all paths, since each of its beams would have to know the hits of the others.
+    /// rays keeps all paths, since each of its beams would have to know the hits of the other
+    /// beams.
     pub(crate) fn has_sparse_paths(&self) -> bool {
         self.sparse_paths && self.rays()[1] <= BEAM as u32
     }

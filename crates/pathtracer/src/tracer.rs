@@ -174,9 +174,9 @@ impl Tracer<'_> {
     /// cone. `draws` has the random numbers of all rays. If `in_bounds` is false, the rays hit
     /// nothing. The call overwrites `rays`. A ray whose bit is set in `paths_of_rays` continues as
     /// a path; the others end at their first surface. If `FIRST` is true, the first surface of
-    /// every ray is written to `first`, which needs an element per ray. Then `sparse` may end some
-    /// of the paths at their first surfaces, too. For the paths that continue, the radiance is the
-    /// same for both values of `FIRST`, bit for bit.
+    /// every ray is written to `first`, which needs an element per ray. In this case, `sparse` may
+    /// also end some of the paths at their first surfaces. For the paths that continue, the
+    /// radiance is the same for both values of `FIRST`, bit for bit.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],
@@ -213,7 +213,8 @@ impl Tracer<'_> {
         };
         let mut paths = [start; BEAM];
         paths.iter_mut().zip(cones).for_each(|(path, cone)| path.cone = *cone);
-        // every vertex adds a shadow ray; shadow rays are traced after all paths have scattered
+        // a vertex adds at most one shadow ray; shadow rays are traced after all paths have
+        // scattered
         let mut shadows = Shadows {
             count: 0,
             rays: [rays[0]; BEAM],
@@ -452,7 +453,7 @@ impl Tracer<'_> {
         let traits = self.traits[vertex.material];
         if traits & EMISSIVE != 0 {
             let emission = self.materials.emission(vertex.material, &vertex.point, vertex.width, vertex.front, cosine);
-            // no other technique finds the light that a mirror reflects
+            // no other technique finds the light that a primary or a mirrored ray hits
             let light_pdf = if emission == Vec3::ZERO || path.scattered_pdf.is_infinite() {
                 0.0
             } else {

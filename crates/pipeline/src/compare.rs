@@ -191,8 +191,8 @@ pub fn refocused(
     Ok(sum)
 }
 
-/// Adds a picture that is shifted by [rows, columns]. Shifted pixels from outside of the picture
-/// have the values of its edge.
+/// Adds a picture that is shifted by [rows, columns]. A pixel whose source is outside of the
+/// picture has the value of the nearest pixel at the edge.
 fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
     let [rows, cols, _] = view.shape();
     let axis = |i: usize, shift: f64, count: usize| {

@@ -36,13 +36,14 @@ pub(crate) fn settled_by_cache(job: &Job, cache_dir: &Path) -> Job {
     known.map_or_else(|| job.clone(), |contents| with_engine(job, &contents))
 }
 
-/// Returns true if the content of the job's scene decides on the engine, and no run has cached this
-/// content.
+/// Returns true if the content of the job's scene decides on the engine, and `cache_dir` has no
+/// valid conversion of the scene.
 pub(crate) fn is_open(job: &Job, cache_dir: &Path) -> bool {
     undecided(job).is_some_and(|scene| handover::known(scene, job.pose.time_s, cache_dir).is_none())
 }
 
-/// Returns the scene of the job if its content decides on the engine.
+/// Returns the scene of the job if its content decides on the engine: a `.blend` file with the
+/// engine `auto`.
 fn undecided(job: &Job) -> Option<&Path> {
     job.scene.as_deref().filter(|scene| is_blend(scene) && job.render.engine == Engine::Auto)
 }

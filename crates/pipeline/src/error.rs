@@ -85,7 +85,7 @@ pub enum PipelineError {
     /// The output would replace a file that Lumistack did not write, or that was changed since
     /// Lumistack wrote it.
     #[error(
-        "{}: expected no file, or a file that Lumistack wrote, found {}, which {work} into its folder would replace; move the file away, or choose another folder with -o",
+        "{}: expected no file, or a file that Lumistack wrote, found {}, which {work} would replace; move the file away, or choose another folder with -o",
         path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "a file or folder that Lumistack did not write" }
     )]
     Foreign {

@@ -10,10 +10,10 @@
 //! it executes its steps and records that it is done.
 //!
 //! Every unit except the last holds a shared lock of the run folder. The folder of a time step or
-//! node has another lock. A unit that makes a block of pictures or a tile in such a folder shares
-//! the folder's lock with other units. A unit that makes whole results in it holds the lock
-//! exclusively. The last unit runs the whole job: it reuses all results and writes the reports. It
-//! holds the lock of the run folder exclusively.
+//! node has a lock of its own. A unit that makes a block of pictures or a tile in such a folder
+//! shares the folder's lock with other units. A unit that makes whole results in such a folder
+//! holds the folder's lock exclusively. The last unit runs the whole job: it reuses all results and
+//! writes the reports. It holds the lock of the run folder exclusively.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -83,7 +83,7 @@ pub struct UnitDone {
     pub id: String,
     /// Time from the start of the unit to its end, with the wait for its inputs, seconds.
     pub seconds: f64,
-    /// True if the unit was done before this call.
+    /// True if the unit was done before the call of [`farm_unit`].
     pub cached: bool,
 }
 
@@ -186,8 +186,8 @@ pub fn farm_plan(
     let owned = folder::lock(dir, work_of(&job), &job, registry, task)?;
     Executor::new(&plan, registry, None, task).check()?;
     for part in &plan.parts {
-        // Check that no other process uses the folder of a time step, and that the folder has no
-        // files of other programs.
+        // Check that no other process uses the folder of a time step. Also check that the run would
+        // replace no file of another program in this folder.
         if matches!(part.kind, PartKind::Time(_)) && job.sweep.is_none() {
             drop(folder::lock(&dir.join(&part.folder), Work::Run, &part.job, registry, task)?);
         }

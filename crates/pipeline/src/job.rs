@@ -280,9 +280,8 @@ impl Job {
         Ok(display.with_views_chosen(most))
     }
 
-    /// Returns the maximum number of views that a display may choose, which limits the time of a
-    /// run. The number is lower if Blender may render the views, since Blender takes minutes per
-    /// view.
+    /// Returns the maximum number of views for `views = "auto"`, which limits the time of a run.
+    /// The number is lower if Blender may render the views, since Blender takes minutes per view.
     pub(crate) fn most_views(&self, display: &Display) -> usize {
         let [cols, rows] = display.field.resolution;
         let most = self.render.most_chosen_views(cols * rows);
@@ -480,8 +479,8 @@ impl Job {
     }
 }
 
-/// Returns true if every system allows a text as the name of a folder. It has 1 to 100 characters,
-/// all of them ASCII letters, ASCII digits, `-` or `_`, and is not the name of a device of Windows.
+/// Returns true if every system allows a text as the name of a folder. Such a text has 1 to 100
+/// characters: ASCII letters, ASCII digits, `-` and `_`. Names of devices of Windows are excluded.
 fn is_folder_name(name: &str) -> bool {
     const DEVICES: [&str; 4] = ["con", "prn", "aux", "nul"];
     const NUMBERED_DEVICES: [&str; 2] = ["com", "lpt"];

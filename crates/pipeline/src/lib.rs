@@ -5,15 +5,17 @@
 //!                        (or a light field of another renderer)      ─▶ outputs/ ─▶ report
 //! ```
 //!
-//! A name with a slash is a folder of the run. The other names after `job.toml` are stages
-//! (`stage/`); `render` stands for the stages place, trace, denoise and expose. The plan of a job
-//! (`plan/`) lists stages as steps, which work in a run folder (`store/`).
+//! In this diagram, names that end with a slash are folders of a run. The other names, except
+//! `job.toml`, are stages: `render` stands for the stages place, trace, denoise and expose, and
+//! `output plugins` for the stage output. The module `stage` has the code of the stages. The module
+//! `plan` lists the stages of a job as steps. The module `store` manages the run folder in which
+//! the steps work.
 //!
 //! * A job with `[[nodes]]` solves several displays for one light field. The folder `nodes/ID/` has
 //!   the patterns and the report of one display.
 //! * A sequence has the stages above for each time step. The solver starts a time step from the
 //!   patterns of the previous time step, unless a fresh start is better.
-//! * A sweep solves many designs, for the light fields of a still, a sequence or a graph.
+//! * A sweep solves many designs, for the light fields of a still or of a sequence.
 //!
 //! ```
 //! use lumistack_core::{Cancel, Collector, Task};

@@ -23,7 +23,8 @@ pub fn is_usd(path: &Path) -> bool {
     lumistack_usd::EXTENSIONS.contains(&extension.as_str())
 }
 
-/// Returns true if a file has the name of a capture, which contains only Gaussian splats.
+/// Returns true if a file has the extension or the name of a capture, which contains only
+/// Gaussian splats.
 pub(crate) fn is_capture(path: &Path) -> bool {
     let has = |known: &&str| path.extension().is_some_and(|found| found.eq_ignore_ascii_case(known));
     ["ply", "spz", "sog"].iter().any(has) || path.file_name().is_some_and(|name| name == "meta.json")

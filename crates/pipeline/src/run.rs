@@ -43,13 +43,14 @@ pub struct Summary {
     pub psnr_view: f64,
     /// PSNR of the emitted light field L̃ against the scaled target βL, dB.
     pub psnr_raw: f64,
-    /// PSNR of the emitted light L̃/β against the scene's light L at held-out views, dB.
+    /// PSNR of the emitted light L̃/β against the scene's light L at held-out views, dB. `None`
+    /// for a sequence, and without held-out views.
     pub psnr_held_out: Option<f64>,
     /// PSNR of the emitted light L̃/β against the scene's light L at views outside the viewing
     /// zone, dB. `None` for a sequence, for a job with nodes, and without such views.
     pub psnr_outside: Option<f64>,
-    /// Results of each node, if the job has nodes. The other scores are then the scores of the
-    /// first node.
+    /// Results of each node, if the job has nodes. The scores above are then those of the first
+    /// node, except `psnr_zone_worst` and `psnr_outside`, which are `None`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeSummary>,
     /// The scene's depth compared with the display's depth of field, as in report.json. `None` for
@@ -81,13 +82,15 @@ pub struct NodeSummary {
     pub psnr_view: f64,
     /// PSNR of the emitted light field L̃ against the scaled target βL, dB.
     pub psnr_raw: f64,
-    /// PSNR of the emitted light L̃/β against the scene's light L at held-out views, dB.
+    /// PSNR of the emitted light L̃/β against the scene's light L at held-out views, dB. `None`
+    /// for a sequence, and without held-out views.
     pub psnr_held_out: Option<f64>,
-    /// Zone score: PSNR of seen pictures over the viewing zone, dB.
+    /// Zone score: PSNR of seen pictures over the viewing zone, dB. `None` for a sequence, and
+    /// without reference pictures.
     pub psnr_zone: Option<f64>,
 }
 
-/// Results of a sequence.
+/// Results of a sequence. For a job with nodes, the scores are those of the first node.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SequenceSummary {
     /// Number of time steps.

@@ -47,7 +47,8 @@ pub enum Viewpoint {
     Slope([f64; 2]),
     /// An eye in display space, millimetres: right, up, in front.
     Eye([f64; 3]),
-    /// This many parallel projections next to each other, spread over the horizontal field of view.
+    /// A number of parallel projections next to each other, spread over the horizontal field of
+    /// view.
     Sweep(usize),
 }
 
@@ -307,8 +308,8 @@ mod tests {
         assert_eq!(share(Viewpoint::Angle([9.9, 0.0])), 0.0);
         assert_eq!(share(Viewpoint::Angle([10.1, 0.0])), 1.0);
         assert_eq!(share(Viewpoint::Angle([0.0, -30.0])), 1.0);
-        // The first eye position is the example in the help of the command. The second eye is
-        // nearer, so it sees the sides of the display from outside of the zone.
+        // The first eye position is the example in the help of `lumistack simulate`. The second eye
+        // is nearer, so it sees the sides of the display from outside of the zone.
         assert_eq!(share(Viewpoint::Eye([100.0, 0.0, 2000.0])), 0.0);
         let near = share(Viewpoint::Eye([100.0, 0.0, 600.0]));
         // At 600 mm, 10° correspond to 105.8 mm. So the part inside the zone has |x − 100| and |y|

@@ -58,7 +58,8 @@ pub fn render_field(
     // Place the window, then trace, denoise and expose as a run does.
     let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
     let placement = place::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
-    // This function makes no report, so it renders no views that only a report needs.
+    // The report of `write_report_on` has no scores of held-out views or of views outside the zone,
+    // so do not render such views.
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     job.render.denoise = job.denoise_for(display);
@@ -123,7 +124,8 @@ pub fn expose_field(field: &LightField, exposure_ev: f64, tone: &str) -> Result<
     Ok(field)
 }
 
-/// Shape and values of an array of weights. `None` stands for the weights of the job.
+/// Shape and values of an array of weights. `None` stands for the weights of the job's expected
+/// eyes, or for uniform weights without eyes.
 pub type WeightsFrom = Option<(Vec<usize>, Vec<f32>)>;
 
 /// Returns the weights in an array, `[view_y][view_x]` or `[view_y][view_x][row][col]`. Without an

@@ -82,8 +82,9 @@ pub struct View {
     pub value: [f64; 3],
 }
 
-/// Data of a time step, lent until `submit` or `make` returns. Functions that do not fit `port`
-/// return [`Status::REFUSED`]. Several threads may call the functions in parallel.
+/// Data of a time step, lent until `submit` or `make` returns. A function returns
+/// [`Status::REFUSED`] if the data do not contain its plane. Several threads may call the functions
+/// in parallel.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Data {

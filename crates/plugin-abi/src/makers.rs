@@ -159,9 +159,9 @@ pub struct StackSink {
     ///
     /// * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
     ///   solved first.
-    /// * `kkt_residual`: if one value of the patterns had one more exact update, the emission would
-    ///   change. The residual is the root mean square of this change over all values of the
-    ///   patterns.
+    /// * `kkt_residual`: an exact update of a single value of the patterns would change the emitted
+    ///   light field. The residual is the root mean square of these changes, over all values that
+    ///   may change.
     /// * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
     ///   bits, or null.
     pub solution: unsafe extern "C" fn(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status,

@@ -116,7 +116,7 @@ fn bench(size: [&str; 2], folder: &Path) -> Outcome {
             return Err(format!("`{step}` failed").into());
         }
         if own > LIMIT {
-            return Err(format!("`{step}` took more than {} MiB", LIMIT >> 20).into());
+            return Err(format!("`{step}` used more than {} MiB of anonymous memory", LIMIT >> 20).into());
         }
     }
     for file in ["layers/layer_0.npy", "films/transparencies.pdf"] {

@@ -30,8 +30,8 @@ pub enum HostError {
         /// The kind of the plugin with this id.
         found: PluginKind,
     },
-    /// The plugin cannot be used.
-    #[error("plugin cannot be used: {0}")]
+    /// A compiled-in plugin cannot be used.
+    #[error("a built-in plugin cannot be used: {0}")]
     BadPlugin(PluginError),
     /// The plugin's library cannot be used.
     #[error("plugin `{id}` cannot be used: {reason}")]
@@ -109,7 +109,7 @@ pub enum HostError {
 #[derive(Debug, Error)]
 pub enum LoadError {
     /// There is no such file or folder, or it cannot be read.
-    #[error("{}: expected a plugin or a folder of plugins that can be read: {source}", path.display())]
+    #[error("{}: cannot read this plugin library, or folder of plugin libraries: {source}", path.display())]
     Read {
         /// The file or folder.
         path: PathBuf,
@@ -192,8 +192,8 @@ pub enum LoadError {
         /// The cause, and the operation that ran.
         cause: String,
     },
-    /// The program has set no launcher of plugin processes.
-    #[error("{}: expected a program with a launcher, which starts a process for a plugin's library, found a program without a launcher", path.display())]
+    /// Neither the program nor the search paths set a launcher of plugin processes.
+    #[error("{}: expected a program that sets a `Launcher`, since plugin libraries run in processes of their own, found a program without a `Launcher`", path.display())]
     NoLauncher {
         /// The path of the file.
         path: PathBuf,

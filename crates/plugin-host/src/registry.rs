@@ -165,9 +165,9 @@ impl Registry {
         entries.into_iter()
     }
 
-    /// Returns the errors of libraries and folders whose plugins cannot be used. The program
-    /// continues without these plugins. Some errors appear only after the attempt to load a
-    /// library.
+    /// Returns the errors of libraries, search paths and time limits that cannot be used. The
+    /// program continues without these plugins, and with default limits. Some errors appear only
+    /// after the attempt to load a library.
     pub fn failed(&self) -> Vec<&LoadError> {
         let loaded = self.libraries.iter().filter_map(|library| library.loaded.get()?.as_ref().err());
         self.failed.iter().chain(loaded).collect()

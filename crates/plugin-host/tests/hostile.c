@@ -2,9 +2,10 @@
  *   -DNAME=id                 the plugin's id
  *   -DKIND=LUMISTACK_KIND_... one of the four kinds
  *   -DIN_ENTRY="what"         the fault of the entry function, such as "abort"; none by default
- * The parameter `fault` is "when:what", a function and its fault, such as "submit:abort". The place
- * "before" is the beginning of `submit`, and "make" is every function that makes data. The values
- * "fetch" and "slow" select more work in `submit`, without a fault.
+ * The parameter `fault` is "when:what", a place and its fault, such as "submit:abort". The places
+ * are functions, except "before" and "submit": the times in `submit` before and after it opens a
+ * file. The place "make" is every function that makes data. The values "fetch" and "slow" of the
+ * parameter select more work in `submit`, without a fault.
  */
 #define _GNU_SOURCE
 #include <fcntl.h>

@@ -1,8 +1,8 @@
 //! Tests the memory of outputs: for a 4K stack of three layers, twelve frames need hardly more
 //! memory than four.
 //!
-//! Each output and number of frames is measured in its own process, by two numbers. `alive` is the
-//! peak of the bytes that the output allocates, counted by the allocator; it is exact and
+//! For each output and each number of frames, a process of its own measures two numbers. `alive` is
+//! the peak of the bytes that the output allocates, counted by the allocator; it is exact and
 //! reproducible. `resident` is the kernel's `VmHWM` of `/proc/self/status`, which includes memory
 //! that the allocator has not returned. Both peaks are reached within the first frames. The layers
 //! are black: zeroed memory that is never written is not resident. So `resident` does not contain

@@ -183,7 +183,8 @@ pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) 
     let read = |path: &str| {
         files.get(path).map(|bytes| bytes.to_vec()).ok_or_else(|| PluginError::Failed(format!("{path}: no such file")))
     };
-    // The importer must make the same document twice, for all parameters.
+    // The importer must make the same document twice: with the defaults, and with every parameter
+    // at each end of its range.
     for params in defaults_and_ends(plugin, &[]) {
         let params = rule("works with every parameter in its range", resolved(plugin, &params))?;
         let made = rule("reads the sample", import(plugin, &MemoryHost::new(), &params, file, &read))?;

@@ -34,7 +34,7 @@ impl Sample {
         }
     }
 
-    /// Returns the port that accepts the data.
+    /// Returns the port, which is the kind of the data.
     pub fn port(&self) -> Port {
         self.data().port()
     }
@@ -56,7 +56,7 @@ impl Sample {
     }
 }
 
-/// Returns all samples. [`Sample::port`] states a sample's port, the kind of its data.
+/// Returns all samples, for both ports that outputs accept: layer stacks and light fields.
 pub fn samples() -> Vec<Sample> {
     let layered = three_layers();
     let directional = one_directional_layer();

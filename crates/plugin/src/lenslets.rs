@@ -10,7 +10,8 @@
 //!
 //! at every point of the lens. At height h above the axis, a ray arrives with slope (h − u)/f, and
 //! the lens adds −h/f. Along each axis, A bins divide the full angle α. In the display model, the
-//! light that a lens emits at slope s is the value of bin floor(A/2 · (1 + s / tan(α/2))).
+//! light that a lens emits at slope s is the value of bin floor(A/2 · (1 + s / tan(α/2))). In this
+//! formula, vertical slopes are positive downwards.
 //!
 //! A lens is not a whole number of pixels wide (2.54 mm are 8.98 pixels of 0.2827 mm). Therefore
 //! the lens and the offset u are computed for every pixel. Coordinates are millimetres in display

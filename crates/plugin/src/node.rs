@@ -40,8 +40,9 @@ pub struct Solution {
     /// Number of coarser resolutions that were solved first. Each is half the next finer
     /// resolution.
     pub coarse_levels: u32,
-    /// KKT residual. If one value of the factors had one more exact update, the emission would
-    /// change. The residual is the root mean square of this change over all values of the factors.
+    /// KKT residual. An exact update of a single value of the factors would change the emitted
+    /// light field. The residual is the root mean square of these changes, over all values that may
+    /// change.
     pub kkt_residual: f64,
     /// For panels of few bits, the PSNR in dB with continuous masks, with rounded masks, and with
     /// masks that are optimized again after the rounding. `None` for panels of many bits.

@@ -211,7 +211,7 @@ unsafe extern "C" fn close<P: OutputPlugin>(instance: *mut c_void) {
     // A panic of the plugin's destructor must not unwind into the host. `close` returns no error,
     // so the log reports the panic.
     if let Err(payload) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| drop(this))) {
-        host.warn(&format!("panicked while closing: {}", panic_text(payload)));
+        host.warn(&format!("the plugin panicked when it was closed: {}", panic_text(payload)));
     }
     host.close();
 }

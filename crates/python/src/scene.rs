@@ -48,8 +48,9 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    /// Reads a file or a stage. USD is read in this process if this Python has OpenUSD and the
-    /// caller names no importer. Otherwise another Python reads it, as in the command.
+    /// Reads a file or a stage. A stage is read in this process. A USD file is read in this process
+    /// if this Python has OpenUSD and the caller names no importer. Otherwise another Python reads
+    /// the USD file, as in the command.
     pub(crate) fn load(
         py: Python<'_>,
         source: &Bound<'_, PyAny>,

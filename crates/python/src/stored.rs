@@ -72,12 +72,13 @@ pub(crate) fn remove_stale(folder: &Path, old: &[String], views: [usize; 2]) -> 
     })
 }
 
-/// Checks that a path can become a folder of this content. A path that does not exist must not have
-/// the suffix of a file. An existing folder must have neither the other content, nor files of other
-/// programs with the names of this content.
+/// Checks that save() may write this content into a folder. The name of a new folder must not have
+/// the suffix of a file. An existing folder must not contain the other kind of content ([`Holds`]),
+/// nor files of other programs with names that save() writes.
 ///
 /// # Errors
-/// SettingError for the suffix of a file, FileError for a folder of other content.
+/// SettingError for the suffix of a file, FileError for an existing folder with such content or
+/// files.
 pub(crate) fn check_free(py: Python<'_>, folder: &Path, holds: Holds) -> PyResult<()> {
     let suffix = folder.extension().map(|suffix| suffix.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if FILES.contains(&&*suffix) && !folder.exists() {

@@ -86,7 +86,7 @@ ELSEWHERE = [
     ("crates/plugin-host/tests/fixtures/abi-1.0/README.md", "cc", "crates/plugin-host/tests/plugin_host/old.rs", "abi-1.0", "never built again"),
 ]
 
-#: Commands that make the files with which a page begins.
+#: Commands that make the files that a page's first commands read.
 BEFORE = {
     "docs/DESIGN_TOOLS.md": ["lumistack run model.glb -o runs/a", "lumistack run scene.glb -o runs/b"],
     "docs/LIVE.md": ["lumistack render model.glb -o views/1", "lumistack render model.glb -o views/2"],

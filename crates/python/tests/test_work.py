@@ -70,7 +70,7 @@ def test_ctrl_c_interrupts(call: str, scene: Path, tmp_path: Path) -> None:
 
 
 def test_ctrl_c_ends_the_command_with_130(scene: Path, tmp_path: Path) -> None:
-    # with all its pixels, the run would need many gigabytes of disk space
+    # at the display's full resolution, the run would need many gigabytes of disk space
     size = ["--resolution", "420x262", "--samples", "60000"]
     words = [sys.executable, "-m", "lumistack", "run", str(scene), *size, "-o", str(tmp_path / "run")]
     child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, preexec_fn=interruptible)

@@ -90,8 +90,8 @@ pub(crate) fn number(value: f64) -> String {
     minus(if text == "-0" { "0".into() } else { text.into() })
 }
 
-/// Formats a fraction as a percentage. A fraction below 1 gives at most 99.9 %, a larger number
-/// 100 %, and NaN "–".
+/// Formats a fraction as a percentage. A fraction below 1 gives at most 99.9 %, 1 or more gives
+/// 100 %, and NaN gives "–".
 pub(crate) fn percent(share: f64) -> String {
     if share.is_nan() {
         return "–".into();

@@ -68,7 +68,8 @@ pub(crate) fn disparities(budget: &DepthBudget) -> Result<String, ReportError> {
 /// # Errors
 /// If the plot cannot be drawn.
 pub(crate) fn bound(budget: &DepthBudget) -> Result<String, ReportError> {
-    // Near the depth of a single layer the bound is infinite, so clamp it to the plotted range.
+    // If the layers' pixels are much finer than the light field's pixels, the bound is far above 1,
+    // so clamp it to the plotted range.
     let points: Vec<(f64, f64)> = budget.bound.iter().map(|(z, bound)| (*z, bound.min(MOST_DETAIL))).collect();
     Ok(page::against(&points, 1.0, ["depth, mm towards the viewer", "finest detail / finest detail of the pixels"])?)
 }

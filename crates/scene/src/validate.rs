@@ -38,9 +38,8 @@ impl Scene {
         self.bounds
     }
 
-    /// Returns the bounds of everything that the viewer sees: of all objects except [unseen
-    /// lamps](Lamp::Unseen) and floating splats. If the viewer sees nothing, they are the bounds of
-    /// all objects.
+    /// Returns the same as [`bounds`](Self::bounds), but without [unseen lamps](Lamp::Unseen). If
+    /// the scene has nothing else, they are included.
     pub fn seen_bounds(&self) -> Bounds {
         self.seen_bounds
     }
@@ -101,8 +100,8 @@ impl Scene {
 
 impl SceneParts {
     /// Checks everything on which later stages rely, and generates missing normals and tangents.
-    /// Drops triangles without area, splats that are not Gaussians, and copies with a scale of
-    /// zero, with warnings.
+    /// Drops triangles without area, splats that are not Gaussians, copies with a scale of zero,
+    /// and cameras without a valid placement, with warnings.
     ///
     /// # Errors
     /// If an index is out of range, if a list has the wrong length, or if a number is not finite

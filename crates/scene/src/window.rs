@@ -44,8 +44,8 @@ pub struct Window {
     /// Width and height of the light field's rectangle in millimetres, both > 0.
     pub size_mm: [f64; 2],
     /// Near plane: z in display space, in millimetres, at which camera rays start, so that objects
-    /// in front of this plane are not seen. With `None` all objects in front of the window are
-    /// seen.
+    /// in front of this plane are not seen. With `None`, no plane hides objects in front of the
+    /// window.
     pub near_mm: Option<f64>,
 }
 

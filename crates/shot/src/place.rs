@@ -97,8 +97,8 @@ impl Means {
             FitDepth::Off => None,
             FitDepth::Move => Some(Self { moves: true, compresses: false, at_need: false }),
             FitDepth::Compress => Some(Self { moves: true, compresses: true, at_need: false }),
-            // fitting moves no window of a chosen depth, and changes no depth scale that the job
-            // sets
+            // fitting moves no window whose depth is chosen, and changes no depth scale that the
+            // job sets
             FitDepth::Auto if chosen && scaled => None,
             FitDepth::Auto => Some(Self { moves: !chosen, compresses: !scaled, at_need: true }),
         }
@@ -117,7 +117,7 @@ pub fn place<S: Subject>(
     geometry: &FieldGeometry,
     task: Task<'_>,
 ) -> Result<Placement, S::Error> {
-    // Find the window. If numbers place it and the job states no near plane, the near plane is
+    // Find the window. If the job gives the window's numbers but no near plane, the near plane is
     // where the display shows hardly any detail.
     let Found { mut window, chosen, looked_from_deg } = find_window(subject, job, geometry, task)?;
     if job.near == Near::Auto && job.from == WindowFrom::Given {
@@ -203,7 +203,7 @@ pub fn coarser(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> Fi
 struct Fit {
     moved_back_mm: f64,
     depth_scale: f64,
-    /// Fraction of the content, its farthest part, that compression left out.
+    /// Fraction of the content that compression left out: the farthest part.
     left_out: f64,
     /// Fraction of the content outside the depth of field after the fit.
     outside: f64,

@@ -59,7 +59,7 @@ impl Kernel for Everything {
             // SAFETY: The machine has the instruction set of V. LEN is a multiple of every lane
             // count, so loads stay inside a and b.
             let mask = unsafe { V::bits(V::load(a.as_ptr().add(at)).below(V::load(b.as_ptr().add(at)))) };
-            assert_eq!(mask.checked_shr(V::COUNT as u32).unwrap_or(0), 0, "bits beyond the lanes");
+            assert_eq!(mask.checked_shr(V::COUNT as u32).unwrap_or(0), 0, "bits above the last lane");
             (0..V::COUNT).for_each(|lane| bits[at + lane] = (mask >> lane & 1) as f32);
         }
         results.push(("bits", bits));

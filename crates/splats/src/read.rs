@@ -1,5 +1,5 @@
-//! Reads files of splats into [`Cloud`](lumistack_scene::Cloud)s, from bytes. Counts are compared
-//! with the data that exists before memory is allocated for splats.
+//! Reads files of splats into [`Cloud`](lumistack_scene::Cloud)s, from bytes. Before memory is
+//! allocated for splats, their count is compared with the amount of data in the file.
 //!
 //! | file | written by | axes |
 //! |---|---|---|
@@ -15,7 +15,7 @@ mod spz;
 pub use found::{Axes, Found, MAX_BYTES, ReadError};
 pub use spz::read_spz;
 
-/// Reads a file of splats. The file's first bytes decide its format, not its name.
+/// Reads a file of splats. The file's first bytes, and not its name, decide the format.
 ///
 /// `beside` returns the content of a file that a SOG's `meta.json` names.
 ///

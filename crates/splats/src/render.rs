@@ -113,7 +113,7 @@ impl Renderer {
             let first = number * VIEWS;
             let surfaces: Vec<Option<Surfaces>> =
                 (0..block.len()).map(|i| surfaces(first + i)).collect::<Result<_, E>>()?;
-            // Convert depths to pixels; a miss becomes farther than all splats.
+            // Divide depths by the pitch, which gives pixels; a miss is farther than all splats.
             let cuts: Vec<Option<Vec<f32>>> = surfaces
                 .iter()
                 .map(|surfaces| {

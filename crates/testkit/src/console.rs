@@ -2,7 +2,7 @@
 //!
 //! Windows signals all programs of a console, and a program can only signal its own console. So a
 //! program that will be interrupted gets its own console, without a window. Then a second process
-//! of the test's program joins this console, and signals the program in it. The second process runs
+//! of the test's program joins this console, and sends the signal there. The second process runs
 //! only the test `common::helps`, which calls `help`.
 
 use std::process::{Child, Command};

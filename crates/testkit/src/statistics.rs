@@ -108,7 +108,7 @@ pub fn chi_square_p(observed: &[u64], expected: &[f64]) -> f64 {
         // the observed and the expected count, so that an excess of samples is still detected.
         add(pooled_observed + LEAST_EXPECTED, pooled_expected + LEAST_EXPECTED);
     }
-    assert!(cells >= 2, "a chi-square test needs two cells");
+    assert!(cells >= 2, "expected at least two cells after pooling, found {cells}");
     ChiSquared::new(f64::from(cells - 1)).map_or(f64::NAN, |distribution| distribution.sf(statistic))
 }
 

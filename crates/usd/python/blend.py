@@ -14,7 +14,7 @@ import os
 import sys
 import types
 
-#: The oldest Blender in which this script runs.
+#: The oldest supported version of Blender.
 OLDEST = (4, 2, 0)
 
 
@@ -136,7 +136,7 @@ def render(bpy, scene, modules, asked, folder):
 
 
 def package(sources):
-    """Makes a Python package of the modules in the request, and returns it."""
+    """Makes a Python package of the modules in the request. Returns the modules by name."""
     name = "_lumistack_handover"
     parent = types.ModuleType(name)
     parent.__path__ = []

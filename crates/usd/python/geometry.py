@@ -3,9 +3,10 @@ package."""
 
 from pxr import UsdGeom, Vt
 
-# Types and names of primvars that renderers of surfaces read.
+# Types of texture coordinates, and names of primvars with colours. Surfaces use these primvars.
 TEXTURE_COORDINATES = ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]", "double2[]", "half2[]")
 COLOURS = ("displayColor", "displayOpacity")
+# For each type of a primvar with a single value, the type of an array of such values.
 SINGLE = {"color3f": Vt.Vec3fArray, "color3d": Vt.Vec3dArray, "color3h": Vt.Vec3hArray, "float": Vt.FloatArray}
 
 

@@ -67,7 +67,7 @@ def emission(prim, writer, time):
     for collection in ("lightLink", "shadowLink"):
         roots = prim.GetRelationship("collection:%s:includes" % collection), prim.GetRelationship("collection:%s:excludes" % collection)
         if any(targets and targets.GetTargets() for targets in roots):
-            writer.warn(prim.GetPath(), "the light's %s is not supported: the light illuminates all objects, and all objects cast shadows" % collection)
+            writer.warn(prim.GetPath(), "the light's %s is not supported, so the light illuminates all objects, and all objects cast shadows" % collection)
     filters = prim.GetRelationship("light:filters")
     if filters and filters.GetTargets():
         writer.warn(prim.GetPath(), "the light's filters are not supported and have no effect")

@@ -1,7 +1,7 @@
 """Materials: their surface shaders, with inputs reduced to constants, textures and primvars.
 
 An input is `{"value": [..]}`, `{"text": text}`, `{"primvar": name}` or `{"texture": t}`. Component k of a texture is
-scale[k] · texel[channels[k]] + bias[k]. Its coordinates are the primvar `primvar` after
+scale[k] · texel[channels[k]] + bias[k]. The texture coordinates are the primvar `primvar` after
 `transform`: u' = t0 u + t2 v + t4, v' = t1 u + t3 v + t5, where v points up. Operations
 whose results have none of these forms cause a warning. Inputs that depend on such an operation keep
 their defaults.
@@ -120,8 +120,7 @@ def widened(values, count):
 
 
 def fallback(found, count):
-    """Returns the replacement for a calculation that is not supported: its input if the input is
-    constant, otherwise None."""
+    """Returns a constant input as `count` numbers. None if the input is not constant."""
     return None if found is None or "value" not in found else constant(widened(found["value"], count))
 
 
@@ -150,8 +149,8 @@ class Graph:
         return attribute, None, None
 
     def input(self, given):
-        """Returns the value of an input. None if the input has neither a connection nor a value of a
-        known type."""
+        """Returns the value of an input. None if the input has no value of a known type, or, after
+        a warning, if the value cannot be used."""
         attribute, shader, output = self.producer(given)
         if attribute:
             values = numbers(attribute.Get(self.time))

@@ -30,7 +30,7 @@ class Skeletons:
                 for target in binding.GetSkinningTargets():
                     self.skinned[target.GetPrim().GetPath()] = (query, target)
         except Exception as error:
-            writer.warn(root.GetPath(), "the root's skeletons cannot be read, so its shapes keep their rest pose: %s" % said(error))
+            writer.warn(root.GetPath(), "the skeletons of this SkelRoot cannot be read, so its shapes keep their rest pose: %s" % said(error))
 
     def key(self, prim):
         """Returns a key of a shape's pose: different poses have different keys. None without a

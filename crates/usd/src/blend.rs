@@ -53,7 +53,7 @@ pub struct BlendContents {
     /// message per kind of content, with the names of the objects.
     pub lost: Vec<String>,
     /// The reason why the scene's engine cannot render on this machine. `None` if the engine can
-    /// render, if the export drops nothing, or if the caller requested only the contents or views.
+    /// render, if the export drops nothing, or if the caller requested views or only the contents.
     pub unfit: Option<String>,
 }
 

@@ -173,7 +173,7 @@ fn weights(basis: Basis, t: f32) -> [f32; 4] {
 fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> Vec<Sample> {
     let periodic = curves.wrap == Wrap::Periodic;
     let stride = if curves.basis == Basis::Bezier { 3 } else { 1 };
-    // in a pinned curve, the first point of the first segment is the extra point, with index −1
+    // a pinned B-spline or Catmull–Rom curve starts with the extra point, which has the index −1
     let shift = match (curves.basis, curves.wrap) {
         (Basis::BSpline | Basis::CatmullRom, Wrap::Pinned) => -1,
         _ => 0,

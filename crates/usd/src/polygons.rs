@@ -187,7 +187,7 @@ impl Reader<'_, '_> {
             Some(array) => {
                 let indices = self.package.integers(array, &place).map_err(text)?;
                 if let Some(index) = indices.iter().find(|&&index| !(0..values.len() as i64).contains(&index)) {
-                    return Err(format!("the index {index}, which is outside its list of {} values", values.len()));
+                    return Err(format!("the index {index}, which is outside the list of {} values", values.len()));
                 }
                 Some(indices.into_iter().map(|index| index as u32).collect::<Vec<_>>())
             }

@@ -25,8 +25,8 @@ pub struct Setup {
     pub python: Option<PathBuf>,
     /// Install usd-exchange, whose OpenUSD reads MaterialX files, instead of usd-core.
     pub materialx: bool,
-    /// Folder of the environment. `None`: `lumistack/python` in the user's data folder, where later
-    /// runs find it.
+    /// Folder of the environment. `None`: `lumistack/python` in the user's data folder, where
+    /// [`load`](crate::load) searches a Python.
     pub folder: Option<PathBuf>,
 }
 

@@ -3,10 +3,10 @@
 //! A slot of a [`Material`](lumistack_scene::Material) reads fixed channels in a fixed encoding. A
 //! USD shader may read any channel of any picture, with scale and bias.
 //!
-//! If all channels are where the slot reads them, the slot uses the decoded picture. Otherwise a
-//! new picture is computed (baked): v = scale · texel + bias per channel, in linear light, then
-//! encoded for the slot. USD's colour space "auto" is sRGB for 8-bit pictures in slots of colour,
-//! and raw elsewhere.
+//! The slot uses the codes of the picture if all channels are where the slot reads them, unscaled,
+//! and in the slot's encoding. Otherwise a new picture is computed (baked): v = scale · texel +
+//! bias per channel, in linear light, then encoded for the slot. USD's colour space "auto" is sRGB
+//! for 8-bit pictures in slots of colour, and raw elsewhere.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -237,8 +237,8 @@ impl<'a> Textures<'a> {
                 _ => None,
             });
         }
-        // Use the decoded picture if all channels are where the slot reads them. Otherwise compute
-        // a new picture.
+        // Use the codes of the picture if they fit the slot as they are. Otherwise compute a new
+        // picture.
         let made = match direct(&channels, kind, &pictures) {
             Some(pixels) => {
                 let picture = pictures.iter().flatten().next()?;

@@ -33,10 +33,10 @@ pub struct Wanted {
     pub cols: usize,
 }
 
-/// Reads a light field of any kind that the command reads.
+/// Reads a light field of any kind that the program `lumistack` reads.
 ///
 /// # Errors
-/// The command's errors for damaged or missing files.
+/// The errors of the program `lumistack` for damaged or missing files.
 pub fn field(path: &str, wanted: &Wanted, task: Task<'_>) -> Result<LightField, FieldError> {
     let path = Path::new(path);
     let defaults = GeometryDefaults { width_mm: Some(wanted.width_mm), fov_deg: Some(wanted.fov_deg) };

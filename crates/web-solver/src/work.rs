@@ -21,8 +21,8 @@ const FIRST: usize = 3;
 /// Paths per pixel of the first views, if these are coarse. Coarse views have a quarter of the
 /// pixels. So two paths per pixel take half of the time of one path per pixel of a full view.
 const COARSE_SAMPLES: u32 = 2;
-/// Iterations of a solve for unfinished views. Few suffice, since the solve starts from the current
-/// patterns.
+/// Iterations of a solve for unfinished views. Few suffice, since each such solve but the first
+/// starts from the current patterns.
 const WARM: u32 = 3;
 /// For a light field, patterns are shown after each of the first [`WARM`] iterations. Later they
 /// are shown after every iteration whose number is a multiple of this number.
@@ -67,7 +67,7 @@ enum Piece {
     },
     Splats(Vec<[usize; 2]>),
     /// Makes the light field of the picked views, and starts a solve for it from the current
-    /// patterns.
+    /// patterns, if there are any.
     Begin(Picked, Detail),
     /// Makes the light field of all views, and starts a solve for it without a warm start, as the
     /// command does.

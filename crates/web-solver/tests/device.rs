@@ -51,8 +51,8 @@ fn apart(a: &LayerStack, b: &LayerStack) -> f32 {
 fn patterns_of_the_device_are_those_of_the_processor() {
     let Some(device) = device() else { return };
     let folder = tempfile::tempdir().unwrap();
-    // Compare after one iteration: in values that hardly change the emission, rounding errors grow
-    // with every iteration.
+    // Compare after one iteration, since rounding errors of pattern values that hardly affect the
+    // emission grow with every iteration.
     let (on_processor, _) = finish(work(folder.path(), None, 1));
     let (on_device, work) = finish(work(folder.path(), Some(&device), 1));
     assert!(work.is_on_device());

@@ -64,7 +64,7 @@ def live_display(folder):
 
 def case_live(folder, zip_path):
     """The page of `lumistack live` follows lamps, objects, materials, frames, the world and edit
-    mode. Without changes nothing is exported. Every end gives a message and leaves no process."""
+    mode. Without changes nothing is exported. No way to end the display leaves a process."""
     import bpy
     import numpy
     import scenes

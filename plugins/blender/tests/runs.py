@@ -590,7 +590,7 @@ def case_headless(folder, zip_path):
 
 
 def case_digest(folder, zip_path):
-    """The digest changes exactly if data change that views depend on."""
+    """The digest changes if data change on which views depend, and only then."""
     import bpy
     import scenes
 
@@ -656,7 +656,7 @@ def case_digest(folder, zip_path):
         "a stroke of Grease Pencil": stroke,
         "the world": lambda: scenes.background(0.3),
         "samples": lambda: setattr(scene.cycles, "samples", 7),
-        # Bevel would round texture coordinates differently at each evaluation.
+        # Use Solidify, since Bevel may round texture coordinates differently at each evaluation.
         "a modifier": lambda: objects["Cube"].modifiers.new("thick", "SOLIDIFY"),
         "a modifier only in renders": lambda: setattr(objects["Cone"].modifiers["smooth"], "render_levels", 1),
         "hidden in renders": lambda: setattr(objects["Torus"], "hide_render", True),

@@ -48,7 +48,7 @@ def empty():
     scene.cycles.use_denoising = False
     scene.cycles.pixel_filter_type = "BOX"
     scene.cycles.filter_width = 1.0
-    # Do not clamp or drop light, and trace paths as long as Lumistack's.
+    # Do not clamp or drop light, and trace as many bounces as Lumistack.
     scene.cycles.sample_clamp_direct = scene.cycles.sample_clamp_indirect = 0.0
     scene.cycles.blur_glossy = 0.0
     scene.cycles.light_sampling_threshold = 0.0

@@ -2,9 +2,9 @@
 //! texture.
 //!
 //! Each mask is a tile. There is one row of tiles per frame, with the rear layer on the left and
-//! the front layer on the right. The pixels below a tile that is lower than its row are black.
-//! `atlas.json` lists the positions of the tiles. The picture is written row by row, so memory does
-//! not grow with the number of frames.
+//! the front layer on the right. If a tile has fewer pixels in height than the tallest tile, the
+//! pixels below it are black. `atlas.json` lists the positions of the tiles. The picture is written
+//! row by row, so memory does not grow with the number of frames.
 
 use std::io::{BufWriter, Write};
 

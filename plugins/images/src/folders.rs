@@ -21,8 +21,8 @@ use lumistack_plugin::{Host, PluginError};
 use crate::encode::{png8, png16, samples8, samples16};
 use crate::views::ViewSource;
 
-/// Stated length of the longer side of the cameras' sensors, millimetres. The value is arbitrary,
-/// since only its ratio to the focal length matters.
+/// Length of the longer side of the cameras' sensors that `parameters.cfg` states, millimetres. The
+/// value is arbitrary, since only its ratio to the focal length matters.
 const SENSOR_MM: f64 = 36.0;
 /// Largest difference between steps of slope that are regarded as equal, as a fraction of the
 /// largest step.

@@ -137,7 +137,7 @@ pub(crate) fn schema() -> Schema {
                 ("some", "The views at the centre and the corners of the target's grid."),
                 ("all", "Every view of the target's grid."),
             ],
-            "Simulated views of a layer stack. The views of a light field are always written.",
+            "Views of a layer stack that are simulated, for single pictures and for the contact sheet. This parameter has no effect on a light field, whose views are all used.",
         ),
         Param::choice(
             "animation",
@@ -164,7 +164,7 @@ pub(crate) fn schema() -> Schema {
         Param::bool(
             "stanford",
             false,
-            "Write the folder stanford/ in the format of the Stanford archive: out_RR_CC_Y_X.png, the camera's centre in millimetres, X right, Y down.",
+            "Write the folder stanford/ in the format of the Stanford archive: out_RR_CC_Y_X.png, with the view's row RR and column CC, and the camera's centre in millimetres, X right, Y down.",
         ),
         Param::float(
             "camera_distance_mm",
@@ -186,14 +186,14 @@ pub(crate) fn schema() -> Schema {
             "lens_focal_mm",
             0.0,
             0.0..=1000.0,
-            "Measured focal length of the lenses in air. 0 uses the value of the display file. If the file states none, the horizontal bins fill the width of the panel behind one lens.",
+            "Measured focal length of the lenses in air. 0 uses the value of the display file. If the file states none, the focal length is such that the horizontal bins fill the width of the panel behind one lens.",
         )
         .unit("mm"),
         Param::float(
             "lens_rotation_deg",
             0.0,
             -45.0..=45.0,
-            "Measured rotation of the lens array against the panel, counterclockwise from the front.",
+            "Measured rotation of the lens array against the panel, counterclockwise from the front. This parameter replaces the rotation in the display file, also with the value 0.",
         )
         .unit("°"),
         Param::float("lens_offset_x_mm", 0.0, -1000.0..=1000.0, "Measured shift of the lens array to the right, added to the display file's offset.")
@@ -259,8 +259,7 @@ impl ImagesParams {
         if self.writes_views() {
             return Ok(());
         }
-        let text =
-            "parameters: expected an output of views, since a light field has neither masks nor a panel, found none";
+        let text = "parameters: expected at least one output of views, such as `png8`, found only `atlas`, whose masks a light field lacks";
         Err(PluginError::Refused(text.into()))
     }
 

@@ -32,7 +32,7 @@ pub(crate) fn joined(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> 
     let mut lines = text.lines().enumerate();
     std::iter::from_fn(move || {
         let (number, line) = lines.next()?;
-        // A comment may end with a path of Windows, which continues no line.
+        // A comment may end with a Windows path, whose last backslash does not continue the line.
         if line.trim_start().starts_with('#') {
             return Some((number + 1, Cow::Borrowed(line)));
         }

@@ -102,7 +102,7 @@ fn files_that_make_no_sense_are_named() {
     assert_eq!(error.to_string(), "a.obj: no such file");
 }
 
-/// A file with all forms that other programs write and read: one value for a grey, a single texture
+/// A file with forms that other programs write and read: one value for a grey, a single texture
 /// coordinate, and options before a picture's name. It also has continued lines, comments after
 /// numbers, several libraries in one line, and bytes that are not UTF-8.
 #[test]

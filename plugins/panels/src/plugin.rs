@@ -25,7 +25,7 @@ pub struct Panels {
     host: Host,
     params: PanelsParams,
     display: Display,
-    /// The inputs before the presentation, which takes them when it begins.
+    /// Inputs that arrive before the presentation; `None` after the presentation has taken them.
     pending: Mutex<Option<Pending>>,
     send: Sender<Command>,
 }
@@ -245,7 +245,7 @@ fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, Pl
             .and_then(image::ImageReader::with_guessed_format)
             .map_err(|error| cannot(&error))?
             .decode()
-            .map_err(|error| cannot(&format!("expected PNG, JPEG or WebP: {error}")))?;
+            .map_err(|error| cannot(&format!("expected PNG, JPEG or WebP, found other or damaged data ({error})")))?;
         return Ok(Some(Content::Flat { picture: picture.to_rgb8(), layer }));
     }
     Ok(None)

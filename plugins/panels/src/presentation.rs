@@ -182,9 +182,9 @@ pub struct Report {
     pub skew_mean_s: Option<f64>,
     /// Largest skew of a refresh, seconds. `None` in the same cases as the mean skew.
     pub skew_largest_s: Option<f64>,
-    /// (refresh number, position in the period, number of the frame set, seconds) of every refresh,
-    /// if requested. A new layer stack makes a new frame set, and so does any other change of the
-    /// frames.
+    /// (refresh number, position in the period, number of the frame set, seconds) of each of the
+    /// first 2^20 refreshes, if requested. A new layer stack makes a new frame set, and so does any
+    /// other change of the frames.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub log: Vec<(u64, usize, u64, f64)>,
 }

@@ -183,7 +183,7 @@ impl OutputPlugin for Quilt {
             ),
             Param::file(
                 "calibration",
-                "The display's calibration (visual.json), or its text. With a calibration, the native picture is written too.",
+                "The display's calibration (visual.json), or its text. With a calibration, the native picture is also written: the woven picture in the screen's own pixels.",
             ),
             Param::bool("write_quilt", true, "Write the quilt itself."),
         ])

@@ -151,7 +151,7 @@ pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option
     if places(count, available).iter().all(|place| (place - place.round()).abs() < SAME_PLACE) {
         return Ok(None);
     }
-    let have = format!("some tiles lie between views: expected {count} views per row, found {available}");
+    let have = format!("expected {count} views per row, found {available}, so that some tiles lie between views");
     let render = format!("for one view per tile, render the light field with `views = [{count}, 1]`");
     match missing {
         Missing::Refuse => Err(PluginError::Refused(format!("{have}; {render}"))),

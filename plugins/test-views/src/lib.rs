@@ -92,8 +92,8 @@ fn number(geometry: &FieldGeometry, view: [usize; 2], rgb: &mut [f32]) {
     let text: Vec<char> = format!("{},{}", view[1], view[0]).chars().collect();
     let letter = get_raster_width(FontWeight::Bold, RasterHeight::Size32);
     let [width, height] = [text.len() * letter, RasterHeight::Size32.val()].map(|side| side as f64);
-    // The text is half as high as the field. It is smaller if it would be wider than 0.8 of the
-    // field.
+    // The text is half as high as the field. It is smaller if it would otherwise be wider than 0.8
+    // of the field's width.
     let scale = (0.5 * geometry.rows as f64 / height).min(0.8 * geometry.cols as f64 / width);
     let ink = |x: f64, y: f64| -> f32 {
         if !(0.0..width).contains(&x) || !(0.0..height).contains(&y) {

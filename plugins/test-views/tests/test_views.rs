@@ -42,8 +42,8 @@ fn cards_move_as_their_depth_says() {
     let display = Display::uniform([300, 60], pitch, [3, 1], [30.0, 10.0], &[-5.0, 5.0], 1);
     let field = made(&display, r#"{"pattern": "cards", "depth_mm": 12.0, "squares": 1}"#);
     let geometry = field.geometry();
-    // Returns the left and the right edge of the card in a third of the picture. The row crosses
-    // bright squares of the card.
+    // Returns the left and the right edge of the card in a third of the picture, found in pixel row
+    // 30. This row crosses bright squares of the card.
     let edges = |view: usize, third: usize| -> [f64; 2] {
         let row = &field.view([0, view])[3 * 300 * 30..3 * 300 * 31];
         let level = |col: usize| f64::from(row[3 * col..3 * col + 3].iter().sum::<f32>());

@@ -121,7 +121,7 @@ impl OutputPlugin for Transparencies {
                 "dpi",
                 0,
                 0..=4800,
-                "Resolution of the pictures in the file; every pixel has the value of the nearest mask pixel. 0 keeps the masks' resolution: the file then requests that the printer enlarges pictures without smoothing.",
+                "Resolution of the pictures in the file; every pixel has the value of the nearest mask pixel. 0 keeps the masks' resolution, and the printer then enlarges the pictures. The file requests that the printer does not smooth them.",
             )
             .unit("dots/inch"),
             Param::text(
@@ -143,7 +143,7 @@ impl OutputPlugin for Transparencies {
                 "spacer_index",
                 1.0,
                 1.0..=2.5,
-                "Refractive index of the spacers: 1 for air, 1.49 for acrylic. A plate of thickness t acts like t / index of air.",
+                "Refractive index of the spacers: 1 for air, 1.49 for acrylic. A plate of thickness t has the effect of an air gap of width t / index.",
             )
             .unit("1"),
             Param::bool("chart", true, "Add the test chart."),
@@ -153,13 +153,13 @@ impl OutputPlugin for Transparencies {
     fn open(host: Host, params: TransparenciesParams, display: Display) -> Result<Self, PluginError> {
         if display.frames != 1 {
             return Err(PluginError::Refused(format!(
-                "printed layers are static: expected a display with frames = 1, found frames = {}",
+                "expected a display with frames = 1, since printed layers are static, found frames = {}",
                 display.frames
             )));
         }
         if display.formation != Formation::Attenuating {
             return Err(PluginError::Refused(format!(
-                "film attenuates: expected formation = \"attenuating\", found formation = \"{}\"",
+                "expected formation = \"attenuating\", since film attenuates light, found formation = \"{}\"",
                 format!("{:?}", display.formation).to_lowercase()
             )));
         }
@@ -245,7 +245,7 @@ impl Transparencies {
         if too_dark > 0 {
             let darkest = self.film.dark.iter().copied().fold(0.0, f64::max);
             self.host.warn(&format!(
-                "number of mask values below the film's least transmittance ({darkest:.3} of clear film): {too_dark}. Patterns that are solved with black_level = {darkest:.3} in all layers of the display have no value below {darkest:.3}"
+                "some mask values are below the film's least transmittance, {darkest:.3} of clear film (number of these values: {too_dark}). Patterns that are solved with black_level = {darkest:.3} in all layers of the display have no value below {darkest:.3}"
             ));
         }
         let out = document.finish().map_err(pdf::failed)?;

@@ -52,8 +52,8 @@ impl Sheet {
             Some([short, long]) if fits([long, short]) => [long, short],
             Some([short, long]) => {
                 return Err(PluginError::Refused(format!(
-                    "parameter `paper`: films of {:.1} × {:.1} mm: expected pages of at least {:.1} × {:.1} mm, found {short} × {long} mm; set paper = \"tight\" for pages that fit, or make the display smaller",
-                    film_mm[0], film_mm[1], needed[0], needed[1]
+                    "parameter `paper`: expected pages of at least {:.1} × {:.1} mm for films of {:.1} × {:.1} mm, found {short} × {long} mm; set paper = \"tight\" for pages that fit, or make the display smaller",
+                    needed[0], needed[1], film_mm[0], film_mm[1]
                 )));
             }
         };
@@ -121,6 +121,6 @@ mod tests {
         assert_eq!(Sheet::new(&wide, 10.0, None).unwrap().page_mm, [244.0, 144.0]);
         let large = [Layer::new(0.0, [400, 300], 1.0)];
         let error = Sheet::new(&large, 10.0, Some([210.0, 297.0])).unwrap_err().to_string();
-        assert!(error.contains("films of 420.0 × 320.0 mm: expected pages of at least 444.0 × 344.0 mm"), "{error}");
+        assert!(error.contains("expected pages of at least 444.0 × 344.0 mm for films of 420.0 × 320.0 mm"), "{error}");
     }
 }

@@ -200,9 +200,9 @@ fn displays_that_cannot_be_printed_are_refused() {
     };
     let moving = Display { frames: 12, ..display.clone() };
     let text = refused(&moving, json!({}));
-    assert_eq!(text, "printed layers are static: expected a display with frames = 1, found frames = 12");
+    assert_eq!(text, "expected a display with frames = 1, since printed layers are static, found frames = 12");
     let text = refused(&Display { formation: Formation::Additive, ..display.clone() }, json!({}));
-    assert!(text.starts_with("film attenuates: expected formation = \"attenuating\""), "{text}");
+    assert!(text.starts_with("expected formation = \"attenuating\", since film attenuates light"), "{text}");
     assert!(refused(&display, json!({"film_mm": 7})).contains("`film_mm`"));
     assert!(refused(&display, json!({"curve": "0 1, 255 0"})).contains("`curve`"));
     let mut wall = display.clone();

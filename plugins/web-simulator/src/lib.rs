@@ -164,8 +164,8 @@ impl OutputPlugin for WebSimulator {
         } else {
             None
         };
-        // Write views of the target. The host passes one view at a time, so some views are fetched,
-        // and then encoded in parallel.
+        // Write views of the target. The host passes one view at a time. So one view per thread is
+        // fetched, then these views are encoded in parallel.
         for some in targets.chunks(rayon::current_num_threads()) {
             self.host.check_cancelled()?;
             let mut views = Vec::with_capacity(some.len());

@@ -21,8 +21,8 @@ pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     sums
 }
 
-/// Returns the frames in the order of loading. Each next frame brings the mean of the frames so far
-/// as near as possible to the mean of all frames.
+/// Returns the frames in the order of loading. After each next frame, the mean of the chosen frames
+/// is as near as possible to the mean of all frames.
 pub(crate) fn by_importance(frames: &[Vec<f32>]) -> Vec<usize> {
     let width = frames.first().map_or(0, Vec::len);
     let whole: Vec<f64> =

@@ -50,8 +50,8 @@ fn sky() -> Sky {
     }
 }
 
-/// Adds floor and back wall. They are so wide that their edges are outside of all views up to 25
-/// degrees.
+/// Adds floor and back wall. They are so large that no view with slopes up to 0.357 along both
+/// axes shows their outer edges.
 fn add_room(document: &mut Document) -> Result<(), GeneratorError> {
     let checks = document.add_texture(jpeg("checkerboard.jpg", &textures::checkerboard())?, Wrap::Repeat);
     let paper = document.add_texture(jpeg("wallpaper.jpg", &textures::wallpaper())?, Wrap::Repeat);
@@ -145,7 +145,7 @@ fn add_balls(document: &mut Document) -> Result<(), GeneratorError> {
     });
     // Each ball has a material, a radius, the position x and the depth z of its centre, and a
     // rotation. Lengths are metres in display axes. The rotation is about the vertical axis, in
-    // degrees.
+    // degrees; all balls also have the same tilt.
     let balls = [
         (plastic("red plastic", [0.75, 0.06, 0.03], 0.25), 0.017, -0.115, 0.078, 0.0),
         (plastic("blue plastic", [0.04, 0.14, 0.62], 0.3), 0.023, -0.178, 0.015, 0.0),

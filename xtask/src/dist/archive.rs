@@ -1,6 +1,6 @@
 //! Makes tarballs, zips and Debian packages. Their bytes depend only on their content, and on the
-//! time of the commit. A Debian package is an `ar` archive of its format's version and of two
-//! tarballs.
+//! time of the commit. A Debian package is an `ar` archive of three files: the version of the
+//! package format, and two tarballs.
 
 use std::collections::BTreeSet;
 use std::io::Write as _;

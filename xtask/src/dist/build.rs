@@ -205,8 +205,8 @@ const FREE_THREADED: &str = "python3.14t";
 
 /// Builds the wheels for a target: one for all versions of Python from 3.11 on, and one for
 /// [`FREE_THREADED`]. Returns the path of the first wheel. For Linux maturin knows the properties
-/// of the free-threaded Python. For other systems maturin needs the program of this Python; without
-/// the program, only the first wheel is built.
+/// of the free-threaded Python. For other systems maturin needs the program of this Python, on a
+/// machine of this target. Otherwise only the first wheel is built.
 pub fn wheels(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
     let python = builders()?;
     let stable = wheel(target, &python, &python, folder, licences)?;
@@ -214,7 +214,7 @@ pub fn wheels(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf
     if target.is_linux() || (host()?.triple == target.triple && has_program()) {
         wheel(target, &python, Path::new(FREE_THREADED), folder, licences)?;
     } else {
-        println!("{}: no wheel for {FREE_THREADED}, which this machine lacks", target.triple);
+        println!("{}: no wheel for {FREE_THREADED}, which must run on a machine of this target", target.triple);
     }
     Ok(stable)
 }

@@ -137,7 +137,7 @@ impl Door {
             // calls of `accept` must not block, so that the thread notices when the display stops
             listener.set_nonblocking(true)?;
             let port = listener.local_addr()?.port();
-            // no other user can read a temporary file
+            // `tempfile` makes files that only this user can read
             let mut file = tempfile::NamedTempFile::new_in(cache)?;
             writeln!(file, "{}", json!({"port": port, "token": token}))?;
             file.persist(&path).map_err(|error| error.error)?;

@@ -14,8 +14,8 @@
 //! of `/.live` describes the content of the page: `after` is the number of the state, `edition` the
 //! name of the edition, and `said` the number of the message. In the response, `said` is the number
 //! of the newest message. `files` has the length of each file that preview.json lists, in the order
-//! of this list. The response contains the text of preview.json if the page has another edition. A
-//! response without a newer state has no files.
+//! of this list. A response with a newer state contains the text of preview.json if the page has
+//! another edition. A response without a newer state has neither files nor this text.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -127,8 +127,8 @@ impl<'a> PageFeed<'a> {
         self.stopped.store(true, Ordering::SeqCst);
     }
 
-    /// Encodes the newest state, unless this is done already, and returns the state's number.
-    /// Returns `None` if there is no state, or if its files cannot be made.
+    /// Encodes the newest state, unless it is encoded already. Returns the number of the state that
+    /// was encoded last; `None` if no state is encoded.
     pub(super) fn prepare(&self) -> Option<u64> {
         Some(self.newest()?.number)
     }

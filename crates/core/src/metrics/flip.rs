@@ -118,7 +118,7 @@ impl Flip {
     /// If a picture does not fill the shape.
     pub fn compare(&self, reference: &[f32], test: &[f32], shape: [usize; 2]) -> MetricMap {
         let [rows, cols] = shape;
-        assert!(reference.len() == 3 * rows * cols && test.len() == reference.len(), "pictures fill their shape");
+        assert!(reference.len() == 3 * rows * cols && test.len() == reference.len(), "pictures must fill the shape");
         let mut values = Vec::with_capacity(rows * cols);
         for band in bands(rows) {
             let (reference, test) = (self.seen(reference, shape, &band), self.seen(test, shape, &band));

@@ -38,7 +38,7 @@ const C2: f64 = 0.03 * 0.03;
 /// If a picture does not fill the shape.
 pub fn ssim(first: &[f32], second: &[f32], shape: [usize; 2]) -> MetricMap {
     let [rows, cols] = shape;
-    assert!(first.len() == 3 * rows * cols && second.len() == first.len(), "pictures fill their shape");
+    assert!(first.len() == 3 * rows * cols && second.len() == first.len(), "pictures must fill the shape");
     let weights = window();
     let mut values = vec![0.0; rows * cols];
     for band in bands(rows) {

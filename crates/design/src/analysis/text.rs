@@ -103,8 +103,8 @@ impl Analysis {
             "views outside of the zone are not constrained"
         };
         format!(
-            "{h}° × {v}°, {} × {} views {step:.2}° apart; the whole display is visible at distances of {} mm and more, and at {} mm from an area of {width} × {height} mm; {:.1} views lie between \
-             two eyes; {beside}",
+            "{h}° × {v}°, {} × {} views {step:.2}° apart; the whole display is visible at distances of {} mm and more; at a distance of {} mm it is visible from an area \
+             of {width} × {height} mm; {:.1} views lie between two eyes; {beside}",
             zone.views[0],
             zone.views[1],
             number(zone.whole_from_mm.round()),

@@ -16,9 +16,8 @@ const AGREEMENT: f64 = 1e-5;
 
 const FORMATIONS: [Formation; 3] = [Formation::Attenuating, Formation::Additive, Formation::Polarization];
 
-/// Returns a display whose layers have random sizes, pitches and positions. `formation` and
-/// `choices` select the display's other properties. If `seed` is a multiple of 3, the backlight is
-/// uniform.
+/// Returns a display whose layers have random pitches and offsets. `formation` and `choices` select
+/// the display's other properties. If `seed` is a multiple of 3, the backlight is uniform.
 fn random_display(formation: Formation, choices: [bool; 5], seed: u64) -> Display {
     let [bilinear, clear, perspective, limited, repeat] = choices;
     let mut random = Stream::new(derive(seed, &[]));

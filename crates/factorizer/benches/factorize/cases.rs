@@ -38,7 +38,8 @@ pub struct Case {
 /// The paper's number of views per axis.
 pub const PAPER_VIEWS: usize = 5;
 /// Number of views per axis at which the outer layers, with 420 × 262 pixels, shift by about one
-/// pixel from view to view. Patterns that are right at these views are also right between them.
+/// pixel from view to view. Patterns that are right at these views are also nearly right between
+/// them.
 pub const NATIVE_VIEWS: usize = 13;
 
 /// Returns the display of the paper's main case with `views` views per axis: three layers, nearest

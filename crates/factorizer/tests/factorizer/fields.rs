@@ -1,5 +1,5 @@
-//! Compares PSNR with published values of an independent implementation, on the two light fields of
-//! the shared folder.
+//! Compares PSNR with published values of an independent implementation, on two light fields in the
+//! folder `LUMISTACK_LIGHTFIELDS`.
 
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Missing, OutsideBins, Weights};
@@ -13,8 +13,9 @@ const FIGURE_TOLERANCE: f64 = 0.3;
 /// Width of the display in millimetres at any resolution.
 const WIDTH_MM: f64 = 473.76;
 
-/// Reads a light field of the shared folder, and returns its middle, cut to the size of the
-/// display. If the file is missing, returns `None`, and reports the test as skipped.
+/// Reads a light field, and returns its middle, cut to the size of the display. The file is in the
+/// folder `LUMISTACK_LIGHTFIELDS`. If it is missing, returns `None`, and reports the test as
+/// skipped.
 #[allow(clippy::disallowed_methods, reason = "a test may read files")]
 pub(super) fn light_field(name: &str, display: &Display) -> Option<LightField> {
     let folder = lumistack_testkit::skip::folder("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")?;

@@ -65,8 +65,8 @@ impl Picture {
         }
     }
 
-    /// Returns the pixels of a rectangle, `[row][col][rgb]`, linear. `corner` is its [column, row],
-    /// and `size` its [columns, rows].
+    /// Returns the pixels of a rectangle, `[row][col][rgb]`, linear. `corner` is [column, row] of
+    /// its top left pixel, and `size` is its [columns, rows].
     ///
     /// # Panics
     /// If the rectangle extends past the picture.

@@ -15,9 +15,9 @@ fn data(name: &str) -> Vec<u8> {
     std::fs::read(workspace().join("crates/gltf/tests/data").join(name)).unwrap()
 }
 
-/// The vertices of a grid and its triangles. The key of a vertex is twice its x and y, rounded,
-/// since the grid's spacing is one half. A triangle has the keys of its corners, with the smallest
-/// key first.
+/// The vertices of a grid (position, normal, texture coordinates), and its triangles. The key of a
+/// vertex is twice its x and y, rounded, since the grid's spacing is one half. A triangle has the
+/// keys of its corners, with the smallest key first.
 type Grid = (BTreeMap<[i32; 2], (Vec3, Vec3, Vec2)>, Vec<[[i32; 2]; 3]>);
 
 fn grid(scene: &Scene) -> Grid {

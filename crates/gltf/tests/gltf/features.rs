@@ -361,9 +361,9 @@ fn the_transform_test_scene_agrees_on_the_sense_of_rotation() {
     let Some(folder) = support::assets("gltf/TextureTransformTest") else { return };
     let (scene, _) = support::load_file(&folder.join("TextureTransformTest.gltf"));
     let scene = scene.unwrap();
-    // The arrow's tip is on the diagonal of its picture, and the scene marks its position on the
-    // rotated square. The square's corners (−0.5, 0.5) and (0.5, −0.5) have the texture coordinates
-    // (0, 0) and (1, 1).
+    // The arrow's tip is on the diagonal of the picture, and the scene marks the tip's position on
+    // the rotated square. The square's corners (−0.5, 0.5) and (0.5, −0.5) have the texture
+    // coordinates (0, 0) and (1, 1).
     let material = scene.materials.iter().find(|material| material.name == "Rotation").unwrap();
     let map = material.base_color_texture.unwrap().texture_from_mesh;
     let marked = map.transform_point2(Vec2::new(0.5 - 0.079_048_224, 0.5 + 0.516_267_5));

@@ -40,8 +40,8 @@ impl AssetResolver for Memory {
         found.map(|(_, bytes)| bytes.clone()).ok_or_else(|| "No such file".to_owned())
     }
 
-    /// Passes the content and the result of decoding on in the form of bytes. A web page whose
-    /// decoders are in another module does the same.
+    /// Converts the content and the result of decoding to bytes and back. A web page does the same
+    /// if its decoders are in another WebAssembly module.
     fn unpack(&self, packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
         let answer = unpack::answer(&packed.to_bytes()).expect("a request");
         let answer = unpack::answered(&answer).expect("an answer");

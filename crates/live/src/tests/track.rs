@@ -114,7 +114,8 @@ fn recorded() -> Vec<[[f64; 3]; 2]> {
 fn two_viewers_who_move_get_what_the_whole_zone_cannot_have() {
     /// Number of reports of the tracker per state.
     const PER_STATE: usize = 2;
-    /// Time from the newest report that a state uses to the display of the state, in reports.
+    /// Number of report intervals from the newest report that a state uses to the time at which the
+    /// state is shown.
     const LATENCY: usize = 2;
     const REPORT_MS: u64 = 33;
     const UPDATES: u32 = 5;

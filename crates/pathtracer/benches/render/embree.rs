@@ -1,5 +1,5 @@
-//! Calls Embree 4, from its Python wheel. The loop over rays is the same as for Lumistack, so it
-//! costs both libraries the same.
+//! Calls Embree 4, from its Python wheel. The loop over rays is the same as for Lumistack, so the
+//! loop costs both libraries the same time.
 //!
 //! The library is opened at run time. Constants and layouts are copied from Embree 4's `rtcore`
 //! headers.
@@ -87,7 +87,7 @@ unsafe extern "C" {
 }
 
 impl Embree {
-    /// Opens the library and builds its best tree.
+    /// Opens the library, and lets it build a tree of its highest quality.
     pub fn new(library: &Path, triangles: &[[Vec3; 3]]) -> Outcome<Self> {
         let path = CString::new(library.to_string_lossy().as_bytes())?;
         const NOW: c_int = 2;

@@ -105,9 +105,9 @@ pub fn measure(options: &Options) -> Outcome {
     Ok(())
 }
 
-/// Compares the mean of whole pictures with converged pictures, in the two views at opposite
-/// corners of the zone and in the middle view. Prints for each way the largest difference of these
-/// views, in percent and in standard deviations (σ).
+/// Compares the mean radiance of a whole picture with that of a converged picture, in the two views
+/// at opposite corners of the zone and in the middle view. Prints for each way the largest of these
+/// three differences in standard deviations (σ), and the same difference in percent.
 fn compare_means(bench: &Bench, ways: &[Way], samples: u32, task: Task<'_>) -> Outcome {
     let [rows, cols] = bench.geometry.grid.views();
     let views = [[0, 0], [rows / 2, cols / 2], [rows - 1, cols - 1]];

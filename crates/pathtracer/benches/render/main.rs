@@ -25,8 +25,8 @@
 //!   squared error, error of the worst view, bias, change of the mean, variance of the mean view,
 //!   and speed-up at equal error. With `--converged` it also compares the means of three views with
 //!   pictures of N samples. With peers the views are perspective, and a row per peer follows.
-//! * `filters` renders the views in the same three ways, and filters them with guides, with 4, 16
-//!   and 64 samples each. It also renders views one by one with 256 samples. The last column is the
+//! * `filters` renders the views in the same three ways, and with the guided filter, with 4, 16 and
+//!   64 samples each. It also renders views one by one with 256 samples. The last column is the
 //!   error of views one by one in the same time, divided by the error of the row's way.
 
 mod case;

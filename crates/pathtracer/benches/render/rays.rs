@@ -1,6 +1,6 @@
 //! Measures rays per second of the tree alone, and of Embree on the same rays and threads. Beams
-//! and packets consist of rays through neighbouring pixels (`primary`), or of rays through one
-//! pixel (`pixels`), as in the path tracer.
+//! and Embree's packets consist of rays through neighbouring pixels (`primary`), or of rays through
+//! one pixel (`pixels`), as in the path tracer.
 
 use std::path::Path;
 use std::time::Instant;

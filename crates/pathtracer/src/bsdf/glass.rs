@@ -25,7 +25,7 @@ use super::ggx;
 use super::lobe::{Facet, Light, Lobe, Sample, Surface, mean};
 use super::table::{Slice, Table, slice};
 
-/// Indices of refraction closer to 1 than this do not bend light.
+/// Glass whose index of refraction differs from 1 by less than this does not bend light.
 const NO_REFRACTION: f32 = 1e-3;
 /// Numbers of nodes of the albedo table, one per coordinate. The coordinates are the root of the
 /// cosine, perceptual roughness, and the root of |n − 1|/(n + 1) for the index n.

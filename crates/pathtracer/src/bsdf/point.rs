@@ -36,8 +36,8 @@ pub(crate) struct Scatter {
 }
 
 impl Bsdf {
-    /// Makes the function of a material. `to_viewer` is a unit vector, and the normals of `frame`
-    /// are on the viewer's side. `front` is true if the viewer sees the front face.
+    /// Makes the scattering function of a material. `to_viewer` is a unit vector, and the normals
+    /// of `frame` are on the viewer's side. `front` is true if the viewer sees the front face.
     pub(crate) fn new(appearance: &Appearance, to_viewer: Vec3, frame: &Frame, front: bool) -> Self {
         let Appearance { base, metallic, roughness, ior, transmission, solid, compensated, .. } = *appearance;
         let extras = appearance.extras.as_ref();

@@ -171,7 +171,7 @@ fn extras() -> Extras {
     }
 }
 
-/// Returns white surfaces of every kind, with their names.
+/// Returns surfaces of every kind whose base is white, with their names.
 fn surfaces() -> Vec<(&'static str, Appearance)> {
     let with = |base: Appearance, extras: Extras| Appearance { extras: Some(extras), ..base };
     let plain = appearance();
@@ -433,7 +433,7 @@ fn a_film_on_plastic_loses_light_in_weaker_channels_only() {
 }
 
 /// A path's wavelength changes only the index of refraction and the tint of the transmitted light.
-/// On average glass stays white.
+/// On average, the glass stays white.
 #[test]
 fn dispersion_keeps_white_white() {
     let glass = Appearance { transmission: 1.0, roughness: 0.0, solid: true, ior: 1.5, ..appearance() };

@@ -125,7 +125,7 @@ impl Bvh {
             let mut depth = 1;
             let mut blocks = 0;
             while depth > 0 {
-                // take the nearest postponed child, and drop it if it is farther than all hits
+                // take the last postponed child, and drop it if every ray has a nearer hit
                 depth -= 1;
                 let next = *postponed.add(depth);
                 if f32::from_bits((next >> 32) as u32) >= t_max {

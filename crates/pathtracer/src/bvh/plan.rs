@@ -3,7 +3,7 @@
 //! The choice minimizes the expected cost of a ray (Ylitie, Karras, Laine 2017, "Efficient
 //! incoherent ray traversal on GPUs through compressed wide BVHs", section 3). A node costs its
 //! surface area, and so does a block. C(n, j) is the least cost of the subtree n if it becomes at
-//! most j children. `first` and `second` are the two children of n.
+//! most j children of a node. `first` and `second` are the two children of n in the binary tree.
 //!
 //! ```text
 //! cost of a subtree as one child: the less of

@@ -296,8 +296,8 @@ impl Sums {
                 .map(|i| {
                     let at = (i / cols + margin) * centre.width + margin + i % cols;
                     let weight = self.weights[half][i];
-                    // The sky has no noise, so it stays as it is. A pixel without any weight stays
-                    // as it is too.
+                    // A pixel that shows only background has almost no noise, so it stays as it is.
+                    // A pixel without any weight stays as it is too.
                     let as_is = centre.planes[COVERED][at] <= 0.0 || weight <= 0.0;
                     [0, 1, 2].map(|c| {
                         if as_is { centre.planes[HALVES[half] + c][at] } else { self.values[half][c][i] / weight }

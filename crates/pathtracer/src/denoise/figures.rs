@@ -1,4 +1,5 @@
-//! The effect of a filter on a view, measured with samples that the filter never used.
+//! The effect of a filter on a view: the error, measured with samples that the filter never used,
+//! and the mean bias.
 //!
 //! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks): pixels that were rendered
 //! twice more, with the results c₁ and c₂. The noise of c₁, the noise of c₂ and the picture F are

@@ -14,7 +14,7 @@ const VARIANCE_RADIUS: usize = 2;
 
 /// Number of planes in [`Frame::planes`].
 pub(super) const PLANES: usize = 22;
-/// First plane of the demodulated radiance of each half; each has red, green and blue.
+/// First plane of the demodulated radiance of each half; a half has the planes red, green and blue.
 pub(super) const HALVES: [usize; 2] = [0, 3];
 /// First plane of the variance of one half of the samples, with three channels.
 pub(super) const VARIANCE: usize = 6;

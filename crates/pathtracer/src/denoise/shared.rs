@@ -10,19 +10,20 @@
 //! L' = ρ_d E' + γ_d H'
 //! ```
 //!
-//! The mean reflectance of the first surfaces is ρ_p over the pixel's paths. Over all rays of the
-//! pixel, it is ρ_d. The reflectance of the other lobes at normal incidence is γ_p and γ_d. With
-//! [`Settings::further_rays`](crate::Settings::further_rays), pixels have more rays than paths.
+//! ρ_p is the mean diffuse reflectance of the first surfaces over the pixel's paths, and ρ_d the
+//! mean over all rays of the pixel. γ_p and γ_d are the same means of the other lobes' reflectance
+//! at normal incidence. With [`Settings::further_rays`](crate::Settings::further_rays), pixels have
+//! more rays than paths.
 //!
-//! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
-//! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at
-//! p_u. It falls to 0 with the distance of u's point from the plane of p's point, and is 0 if the
-//! normals differ too much. Light from dark surfaces is noisy once it is divided by ρ_p; with the
-//! factor ρ_p it contributes little. Nothing is averaged over neighbouring pixels; only [sparse
-//! paths](crate::Settings::sparse_paths) serve several pixels. But E is read at
-//! the pixel nearest to p_u, which blurs shadows and bumps over a fraction of a pixel. So w also
-//! falls with the distance of p_u from this pixel's centre. D and G stay as rendered where no other
-//! view sees the surface.
+//! View u sees the surface point of pixel p at the position p_u. Between two views with the slopes
+//! s and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface
+//! at p_u. It falls to 0 with the distance of u's point from the plane of p's point, and is 0 if
+//! the normals differ too much. Light from dark surfaces is noisy once it is divided by ρ_p; with
+//! the factor ρ_p it contributes little. Nothing is averaged over neighbouring pixels; only [sparse
+//! paths](crate::Settings::sparse_paths) serve several pixels. But E is read at the pixel nearest
+//! to p_u, which blurs shadows and bumps over a fraction of a pixel. So w also falls with the
+//! distance of p_u from this pixel's centre. D and G stay as rendered where no other view sees the
+//! surface.
 //!
 //! E is the same in all views. A lobe of the roughness √α spreads light over angles of about α
 //! around the mirrored direction. From view to view, this direction turns by |s − s'|. The weight
@@ -85,7 +86,7 @@ const LEAST_COSINE: f32 = 0.8;
 const MOST_ALPHA: f32 = 0.1;
 
 /// Number of views along each axis that are averaged if there are more. The noise that is left is
-/// then elsewhere, and further views would only take time.
+/// then in light that views do not share, so further views would only take time.
 const NEAREST: usize = 13;
 
 /// Data of a pixel for the filter. It is kept small, 20 bytes, since the pixels of all views are in
@@ -410,8 +411,9 @@ fn of_view(
             let seen = of_view(other);
             let (mut first, mut last) = (usize::MAX, 0);
             for point in &lit {
-                // The sums are not negative, so the conversion to whole numbers rounds down. It is
-                // faster than `round`, which is a call on processors without SSE 4.1.
+                // After the check below, x and y are not negative, so their conversion to whole
+                // numbers rounds down. The conversion is faster than `round`, which is a call on
+                // processors without SSE 4.1.
                 let x = point.col as f32 + turn_x * point.depth + 0.5;
                 let y = row as f32 - turn_y * point.depth + 0.5;
                 if !(x >= 0.0 && y >= 0.0 && x < cols_f && y < rows_f) {

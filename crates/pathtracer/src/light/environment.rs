@@ -7,8 +7,8 @@
 //! little inside a cell.
 //!
 //! Only radiance above the mean is sampled ("MIS compensation", Karlík et al. 2019). Scattered rays
-//! find darker light as well or better, and the power heuristic would give little weight to most of
-//! its samples. A sky of one radiance is thus never sampled here.
+//! find darker light as well or better, and the power heuristic would give most samples of darker
+//! light little weight. A sky of one radiance is thus never sampled here.
 
 use std::f32::consts::PI;
 use std::sync::Arc;

@@ -32,7 +32,7 @@ const EQUAL_SHARE: f64 = 0.3;
 const POWER_POINTS: usize = 6;
 /// Step between two successive values of the 24-bit random numbers that choose a light.
 const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
-/// Two triangles are taken as a parallelogram if its fourth corner deviates by at most this
+/// Two triangles are taken as a parallelogram if the fourth corner deviates by at most this
 /// fraction of a diagonal. Such a deviation comes from the rounding of corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
 /// Number of distributions by which a light is chosen. Distribution k is used for 2ᵏ to 2ᵏ⁺¹ − 1
@@ -590,7 +590,8 @@ mod tests {
         close(in_whole_parts(&[3.3, 6.7], 16), &[5.0 / 16.0, 11.0 / 16.0]);
         // a chance of less than half a part is not rounded, and a chance of 0 stays 0
         close(in_whole_parts(&[0.0, 1e-6, 1.0], 64), &[0.0, 1e-6 / (1.0 + 1e-6), 1.0 / (1.0 + 1e-6)]);
-        // 0.5 parts are rounded up to 1, but two of them would leave nothing for the third
+        // two chances of 0.5 parts would be rounded up to 1 part each, which would leave nothing
+        // for the third chance
         close(in_whole_parts(&[1.0, 1.0, 2.0], 2), &[0.25, 0.25, 0.5]);
         close(in_whole_parts(&[5.0], 8), &[1.0]);
         assert!(Distribution::new(&in_whole_parts(&[], 4)).is_none());

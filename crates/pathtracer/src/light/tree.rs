@@ -31,7 +31,8 @@ use std::f32::consts::PI;
 
 use glam::{Quat, Vec3};
 
-/// Number of buckets along each axis. A node's lights are split between two neighbouring buckets.
+/// Number of buckets into which a node's lights are sorted along each axis. The node is split at a
+/// border of two buckets.
 const BUCKETS: usize = 12;
 
 /// A point that receives light, from one side of a surface or from all directions.
@@ -299,8 +300,8 @@ fn cone_union(a: &Emitter, b: &Emitter) -> (Vec3, f32) {
     }
 }
 
-/// Splits the lights of `order` in two: reorders them, and returns the index at which the second
-/// half begins.
+/// Splits the lights of `order` in two parts: reorders them, and returns the index at which the
+/// second part begins.
 fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
     let light = |index: u32| &lights[index as usize];
     let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
@@ -445,8 +446,8 @@ mod tests {
         }
     }
 
-    /// Every light from which the receiver gets irradiance has a chance, in trees over random
-    /// lights.
+    /// Every light from which the receiver gets irradiance has a chance above 0, in trees over
+    /// random lights.
     #[test]
     fn whatever_arrives_can_be_chosen() {
         for seed in 0..20 {

@@ -141,7 +141,8 @@ fn parts_add_up_to_the_view() {
     }
 }
 
-/// Light that the views of a room share lowers the error of every view; means and edges are kept.
+/// Shared light lowers the mean error of three views of a room. It keeps their means, and the edges
+/// of the middle view.
 #[test]
 fn shared_light_has_the_samples_of_all_views() {
     let renderer = room();
@@ -248,9 +249,9 @@ fn reflections_of_rough_metal_are_shared() {
     }
 }
 
-/// Under a sky of radiance 1 the pictures are known. A wall of two colours has the radiance of its
-/// albedo. White metal between the colours, and a glowing pole, have the radiance 1. From view to
-/// view, the pole covers another part of the wall.
+/// Compares renders with the true pictures, which are known under a sky of radiance 1. A wall of
+/// two colours has the radiance of its albedo. White metal between the colours, and a glowing pole,
+/// have the radiance 1. From view to view, the pole covers another part of the wall.
 #[test]
 fn further_paths_do_no_harm_where_views_share_no_light() {
     const POLE_X: [f32; 2] = [-0.13, 0.12];
@@ -309,7 +310,8 @@ fn further_paths_do_no_harm_where_views_share_no_light() {
     assert!(further[1] < shared[1].min(0.05), "{alone:?} {shared:?} {further:?}");
 }
 
-/// Further rays smooth edges and textures, and change no mean. The paths stay the same.
+/// Further rays lower the error of a view, and change no mean. The result is the same with any
+/// number of threads.
 #[test]
 fn further_rays_smooth_edges_and_keep_means() {
     let (renderer, geometry) = (room(), geometry());

@@ -86,8 +86,8 @@ fn lossless_spheres_are_invisible_in_a_uniform_environment() {
     }
 }
 
-/// A flat white metal returns all light of the environment at every roughness. It has neither
-/// curvature nor shading normals, so only the albedo table can be wrong.
+/// A flat white metal returns all light of the environment at every roughness. Its shading normals
+/// equal its geometric normal, so only the albedo table can be wrong.
 #[test]
 fn a_flat_white_metal_is_invisible_at_every_roughness() {
     for roughness in [0.05, 0.2, 0.4, 0.6, 0.8, 1.0] {

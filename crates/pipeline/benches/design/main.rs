@@ -6,9 +6,9 @@
 //! and 1 to 8 frames. Their β is 0.1 to 1, their gaps are 15 to 70 mm, and a row has 10 to 80
 //! lenslets.
 //!
-//! Second part: a process sweeps 100 small designs. It is killed (SIGKILL) and started again
-//! several times. In the end the table must have the same bytes as the table of a sweep without
-//! interruption.
+//! Second part: a process sweeps 100 small designs. The process is killed (SIGKILL) and started
+//! again several times. In the end its table must have the same bytes as the table of a sweep
+//! without interruption.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};

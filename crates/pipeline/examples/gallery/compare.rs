@@ -100,7 +100,8 @@ pub fn figures(ours: &Halves, other: &Halves) -> Figures {
     }
     let relative = |sum: f64| (sum.max(0.0) / (3 * pixels.len()).max(1) as f64).sqrt() / mean;
     let both = pixels.iter().filter(|&&i| ours.covered[i] && other.covered[i]).count();
-    // Compute the centroids of the covered pixels, whose difference shows a shift of the camera.
+    // Compute the centroid of each render's covered pixels. A difference shows a shift of the
+    // camera.
     let centre = |covered: &[bool]| {
         let (mut at, mut count) = ([0.0; 2], 0.0);
         for i in (0..covered.len()).filter(|&i| covered[i]) {

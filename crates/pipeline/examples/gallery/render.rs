@@ -64,7 +64,7 @@ pub fn all(scenes: &Path, out: &Path, options: &Options) -> Outcome {
         return Err(format!("{}: expected glTF or USD files, found none", scenes.display()));
     }
     let registry = plugins(&[]).map_err(text)?;
-    // If a file fails, `ours.json` has its message, and the next file follows.
+    // If a file fails, `ours.json` has the error's message, and the next file follows.
     for file in files {
         let name = file.strip_prefix(scenes).unwrap_or(&file).to_string_lossy().replace('\\', "/");
         let folder = out.join(name.replace('/', "__"));

@@ -168,9 +168,9 @@ pub(super) fn save(path: &Path, panes: Vec<Vec<f32>>, [rows, cols]: [usize; 2]) 
 mod tests {
     use super::*;
 
-    /// A node finds the target of its run two folders above. Other runs must not read a folder
-    /// `target` there. The test damages the target's index, so an error shows that the target was
-    /// read.
+    /// A node finds the target of its run two folders above. For other folders, a folder `target`
+    /// two levels above must not be read. The test damages the target's index, so an error shows
+    /// that the target was read.
     #[test]
     fn only_a_node_has_the_target_of_the_run_around_it() {
         let folder = tempfile::tempdir().unwrap();

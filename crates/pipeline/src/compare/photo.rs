@@ -1,16 +1,18 @@
 //! Compares a photograph of panels with the simulation of their run.
 //!
-//! The homography of the display's four corners rectifies the photograph. A factor g adapts its
-//! exposure to the simulation. The factor minimizes Σ (g p − s)², where p are the values of the
-//! photograph and s those of the simulation. The values are linear; clipped pixels are excluded:
+//! The homography of the display's four corners rectifies the photograph. A factor g adapts the
+//! photograph's exposure to the simulation. The factor minimizes Σ (g p − s)², where p are the
+//! values of the photograph and s those of the simulation. The values are linear; clipped pixels
+//! are excluded:
 //!
 //! ```text
 //! g = Σ s p / Σ p²
 //! ```
 //!
 //! If the camera's position is unknown, it is computed from the corners and the focal length f in
-//! pixels. The optical axis of a pinhole camera goes through the middle of the picture. The
-//! homography from the display's millimetres to pixels, relative to that middle, is
+//! pixels. The optical axis of a pinhole camera goes through the middle of the picture. Let H be
+//! the homography from millimetres on the display to pixels, where pixels are counted from that
+//! middle:
 //!
 //! ```text
 //! H ∝ diag(f, f, 1) [r_1 r_2 t],      eye = −Rᵀ t

@@ -40,9 +40,9 @@ pub struct FactorizeJob {
     /// or many. Without `tiles` and `tile_mib` it is solved as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
-    /// Memory of a solve, MiB, 1 to 16777216. The display is cut into more and more tiles, until
-    /// no tile needs more memory, or the longer side of a tile is below 128 pixels. Not together
-    /// with `tiles`.
+    /// Largest memory for the solve of a tile, MiB, 1 to 16777216. The display is cut into more and
+    /// more tiles, until no tile needs more, or the longer side of a tile is below 128 pixels. Not
+    /// together with `tiles`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tile_mib: Option<u64>,
     /// Folder `layers` of an earlier run. Its patterns are the initial patterns, and `start` has no
@@ -121,8 +121,8 @@ impl FactorizeJob {
     /// Checks `tiles` and `tile_mib`.
     ///
     /// # Errors
-    /// If a number is out of range, both keys are given, or one of the keys is given and the device
-    /// is a graphics processor.
+    /// If a number is out of range, or the job sets both keys. Also if the job sets one key and the
+    /// device is a graphics processor.
     pub(crate) fn check_tiles(&self) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         if self.tiles.is_some() || self.tile_mib.is_some() {
@@ -140,10 +140,12 @@ impl FactorizeJob {
         }
     }
 
-    /// Checks the expected eyes. Also checks that the job has no weights beside them.
+    /// Checks `eyes` and `eye_floor`. Also checks that the job does not set `weights` besides
+    /// `eyes`.
     ///
     /// # Errors
-    /// If an eye is not in front of the display, a number is out of range, or both keys are given.
+    /// If an eye is not in front of the display, a number is out of range, or the job sets both
+    /// `weights` and `eyes`.
     pub(crate) fn check_eyes(&self) -> Result<(), PipelineError> {
         let check = |ok: bool, key: String, expected: &str, found: String| match ok {
             true => Ok(()),

@@ -91,8 +91,8 @@ pub struct OutputJob {
     /// Name of the output's folder; default: the plugin's id.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Input of the output: `light_field` or the id of a node. Default: the patterns, if the job
-    /// has at most one node.
+    /// Input of the output: `light_field` or the id of a node. Default: the patterns. A job with
+    /// several nodes needs this key.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
     /// Parameters of the plugin.

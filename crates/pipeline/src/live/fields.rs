@@ -40,13 +40,13 @@ pub struct LiveFields {
     job: Job,
     display: Arc<Display>,
     cache: PathBuf,
-    /// The loaded scene. It has a key of its inputs, as the next three results have.
+    /// The loaded scene, with a key of its inputs. The next three fields also have such a key.
     scene: Option<(Value, Arc<Ingested>)>,
     placement: Option<(Value, Placement)>,
     views: Option<(Value, Progressive)>,
     tone_mapping: Option<(Value, ToneMapping)>,
-    /// Key of the light field that was returned last, or of a file that was read last, even if the
-    /// file could not be read.
+    /// Key of the last returned light field. If the job names a light field, the key of the last
+    /// attempt to read the light field, even if the attempt failed.
     shown: Option<Value>,
     /// Number of reloads. It is part of every key of a result from files, so a reload makes these
     /// results anew.
@@ -86,7 +86,7 @@ impl LiveFields {
         &self.job
     }
 
-    /// Returns the files that the light field depends on.
+    /// Returns the files that the light field, the display and the weights depend on.
     pub fn files(&self) -> Vec<PathBuf> {
         let named = [&self.job.scene, &self.job.light_field, &self.job.display.file, &self.job.light.environment];
         let mut files: Vec<PathBuf> = named.into_iter().flatten().cloned().collect();

@@ -1,5 +1,5 @@
-//! Estimate of the disk space of a plan. Only light fields are counted. Patterns, pictures and
-//! the report need far less space.
+//! Estimate of the disk space of a plan. Light fields and the pictures for the zone score are
+//! counted. Patterns, outputs and the report usually need far less space.
 
 use lumistack_display::{Display, FieldGeometry, ViewGrid};
 use lumistack_pathtracer::Settings;
@@ -28,7 +28,7 @@ pub(super) struct Disk {
     filter: (Denoise, Settings),
     /// Bytes of a ray in two kinds of files: splats, and marks of the rays that hit nothing.
     other: u64,
-    /// Bytes of a ray in the solver's files.
+    /// Bytes of a ray in two files: the target, and the solver's copy of the target.
     solved: u64,
 }
 
@@ -39,8 +39,8 @@ impl Disk {
         let target = rays(&geometry.grid);
         let is_capture = job.scene.as_deref().is_some_and(is_capture);
         let is_hidden = job.light.background != Background::Environment;
-        // if a run will measure the number of paths, assume one path per pixel, since a pixel then
-        // also has a further ray, which makes the files larger
+        // If a run will measure the number of paths, assume one path per pixel. Such a pixel also
+        // has a further ray, which makes the files larger.
         let views = geometry.grid.iter().count();
         let samples = if job.render.samples_are_measured() { 1 } else { job.render.samples_of_view(views) };
         let settings = job.split_settings(Settings { samples, ..Settings::default() }, display);
@@ -50,7 +50,8 @@ impl Disk {
             scored: 2 * job.report.zone_directions as u64 * pixels,
             filter: (job.denoise_for(display), settings),
             other: if is_capture { SPLATS } else { 0 } + if is_hidden { MISSED } else { 0 },
-            // values of given pictures may need single floats in the solver's copy
+            // The solver's copy has half floats, unless the values of a given light field need
+            // single floats.
             solved: if job.light_field.is_some() { 2 * VIEW } else { VIEW + WRITTEN },
         }
     }

@@ -622,7 +622,7 @@ mod tests {
         };
         let plain = of("views = [5, 5]", "off");
         assert!((of("views = [5, 5]", "shared") / plain - FURTHER_TIMES).abs() < 1e-9);
-        // a display that chooses its views has sparse paths
+        // Automatic views have sparse paths.
         assert!((of("", "shared") / of("", "off") - SPARSE_TIMES).abs() < 1e-9);
         assert!(plain > 0.0);
     }

@@ -171,9 +171,9 @@ impl<'a> Executor<'a> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
         for input in &step.inputs {
-            // Execute the step that makes the input, unless it is done. If a whole plan is
-            // executed, it is always done. A unit of work reads the patterns of a warm start from
-            // their files, so it does not execute the step that makes these patterns.
+            // Execute the step that makes the input, unless this step is done. In an execution of a
+            // whole plan, this step is always done. A unit of work reads the patterns of a warm
+            // start from their files, so it does not execute the step that makes these patterns.
             let input = self.index(input)?;
             let of_file = self.unit.is_some() && [step.kind, plan.steps[input].kind] == [StepKind::Patterns; 2];
             if !of_file {

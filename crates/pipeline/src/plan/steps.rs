@@ -21,9 +21,9 @@ pub struct Plan {
     pub folder: PathBuf,
     /// The steps; each comes after its inputs.
     pub steps: Vec<Step>,
-    /// Estimate of the disk space that the light fields of all steps need together, with the
-    /// temporary files of one step, bytes. Patterns, pictures and reports, which are much smaller,
-    /// are not included.
+    /// Estimate of the disk space of all light fields and of the pictures for the zone score, with
+    /// the temporary files of one step, bytes. Patterns, outputs and reports, which are usually
+    /// much smaller, are not included.
     pub disk_bytes: u64,
     /// True if only the run will choose the renderer of a `.blend` file. The plan then assumes
     /// Blender, which renders fewer views.

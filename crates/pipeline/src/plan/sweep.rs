@@ -284,7 +284,7 @@ impl Sweep<'_> {
             })
             .collect();
         progress.end();
-        // A stopped sweep can continue, so the message states how many designs are finished.
+        // State how many designs are finished, since the same command continues a stopped sweep.
         let solved = solved.inspect_err(|error| {
             if matches!(error, PipelineError::Cancelled) {
                 let (done, all) = (finished.load(Ordering::Relaxed), candidates.len());

@@ -39,8 +39,8 @@ pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
 
-/// To check a filter, some pixels are rendered again, twice with different seeds. Each time, a
-/// pixel gets the number of paths of a view, multiplied by this factor.
+/// To check a filter, some pixels are rendered again, twice with different seeds. Each time, such a
+/// pixel gets this factor times the number of paths that it has in its view.
 const CHECK_FACTOR: u32 = 2;
 /// Maximum number of views whose pixels are rendered again to check a filter. This number of views,
 /// spread over the viewing zone, suffices to judge a filter.
@@ -221,14 +221,14 @@ fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered
     }))
 }
 
-/// Returns the bytes of the filtered views that do not exist yet.
+/// Returns the size of the filtered views that do not exist yet, bytes.
 pub(crate) fn missing_bytes(field: &FieldJob, kind: Denoise) -> u64 {
     let folder = field.finished(kind);
     let missing = field.traced.grid.iter().filter(|view| !view_path(&folder, *view, None).exists()).count();
     if kind.filters() { missing as u64 * field.pixels() * space::VIEW } else { 0 }
 }
 
-/// Returns the bytes of the light that views share, if the light is not in memory.
+/// Returns the size of the light that views share, bytes; 0 if this light is in memory.
 pub(crate) fn shared_bytes(field: &FieldJob, kind: Denoise, job: &Job) -> u64 {
     let is_in_files = kind == Denoise::Shared && !job.render.is_held(&field.traced);
     let rays = field.traced.grid.iter().count() as u64 * field.pixels();

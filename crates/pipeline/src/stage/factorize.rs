@@ -252,8 +252,9 @@ struct Choice {
 }
 
 /// Returns true if a fresh start with the settings `fresh` is better than a start from the patterns
-/// `warm`. The warm start is better if its objective is already lower, or if it leads by 1 dB after
-/// one iteration from each start ([`Solve::warm_start_pays`]). The choice is cached.
+/// `warm`. The warm start is better if its objective is lower than that of the fresh start. It is
+/// also better if it leads by 1 dB after one iteration from each start
+/// ([`Solve::warm_start_pays`]). The choice is cached.
 ///
 /// # Errors
 /// If the patterns cannot be read, the solver fails, or the task is cancelled.

@@ -78,7 +78,7 @@ impl Ingested {
         self.known.clone().map_or_else(|| scene_contents(path, importer, registry, task), Ok)
     }
 
-    /// Adds everything that the scene was made from to a key.
+    /// Adds to a key everything from which the scene was made.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         for (path, content) in &self.files {
             key.add("file", path.file_name().unwrap_or_default().as_encoded_bytes()).add("content", content.as_bytes());
@@ -232,8 +232,8 @@ fn lit(
 ) -> Result<Ingested, PipelineError> {
     // Crop first, since removed splats emit no light.
     scene = crop::cropped(scene, pose, task)?;
-    // The environment of the job replaces the environment of the file. The functions that make it
-    // also apply the job's strength.
+    // The environment of the job replaces the environment of the file. The functions that load or
+    // make this environment also apply the job's strength.
     let mut has_own = light_job.environment.is_some();
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));

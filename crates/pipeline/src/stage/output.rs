@@ -42,7 +42,7 @@ fn port_of(output: &OutputJob) -> Port {
     if output.takes_light_field() { Port::LightField } else { Port::LayerStack }
 }
 
-/// Opens an output for a display before the work, so that a refusal is known early.
+/// Opens an output for a display before a run renders or solves, so that a refusal is known early.
 ///
 /// # Errors
 /// If the output refuses the display, or the task is cancelled.

@@ -11,8 +11,8 @@
 //! b, and solved for both renders. If the views share light, pixels also have a further ray, and
 //! paths are sparse. Then MSE(n) has the same form: with n = 1, 2 and 4 for
 //! `scenes/still-life/job.toml`, V was 0.26, 0.27 and 0.27 · 10⁻³. S_a and S_b are the seen
-//! pictures in directions that no solver used. R_a and R_b are renders of the scene in these
-//! directions, with two more seeds:
+//! pictures of the two solves, in directions that no solver used. R_a and R_b are renders of the
+//! scene in these directions, with two more seeds:
 //!
 //! ```text
 //! V = E[(S_a − S_b)²] / 2        D = E[(S_a − R_a)(S_b − R_b)]

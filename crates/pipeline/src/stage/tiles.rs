@@ -160,7 +160,8 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
     })
 }
 
-/// Solves a tile in a round; both numbers begin at 0. The tiles of the previous round must be done.
+/// Solves a tile in a round; the numbers of the round and of the tile begin at 0. The tiles of the
+/// previous round must be done.
 ///
 /// # Errors
 /// The errors of [`run`], and an error if the solve is not cut into `count` tiles.

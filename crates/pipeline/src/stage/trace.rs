@@ -55,7 +55,7 @@ struct Todo {
 }
 
 impl Todo {
-    /// Returns the bytes of the picture's files.
+    /// Returns the size of the picture's files, bytes.
     fn bytes(&self, field: &FieldJob, kind: Denoise) -> u64 {
         let guides = if self.guides.is_some() { space::GUIDES } else { 0 };
         let variance = if self.variance.is_some() { space::VIEW } else { 0 };
@@ -150,7 +150,7 @@ fn trace_views(
         // Check the denoiser before the rendering, which may take hours.
         denoise::check(kind, job, shot.geometry)?;
     }
-    // A disk that is full would end the rendering, so check its free space, too. A filter also
+    // A disk that is full would end the rendering, so check the free space, too. A filter also
     // needs space for its views, and for the shared light of one light field at a time.
     let of_todo = todo.iter().map(|todo| todo.bytes(&fields[todo.field], kind));
     let of_splats =

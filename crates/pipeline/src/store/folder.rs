@@ -18,8 +18,8 @@ use crate::job::Job;
 /// Checks and locks the folder of a job, and removes left-overs of killed runs.
 ///
 /// # Errors
-/// If another process uses the folder, a file of another program has a name that the work writes,
-/// or the work would overwrite an input.
+/// If another process uses the folder, the work would replace a file of another program, or the
+/// work would overwrite an input.
 pub(crate) fn lock(
     dir: &Path,
     work: Work,
@@ -35,7 +35,7 @@ pub(crate) fn lock(
     Ok(owned)
 }
 
-/// Checks that no file of another program has a name that the work writes.
+/// Checks that no file of another program has the name of a file that the work writes.
 fn check_foreign(dir: &Path, work: Work) -> Result<(), PipelineError> {
     let Ok(entries) = std::fs::read_dir(dir) else { return Ok(()) };
     let ours = is_ours(dir);
@@ -176,7 +176,7 @@ mod tests {
             assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing was written");
         }
-        // Files with names that the work does not write are allowed.
+        // Files that the work would not replace are allowed, and also empty folders.
         std::fs::write(base.path().join("notes.txt"), "mine").unwrap();
         std::fs::create_dir(base.path().join("outputs")).unwrap();
         drop(try_take(base.path(), Work::Run, &job).unwrap());

@@ -1,7 +1,7 @@
 //! Parameters of plugins that depend on the job: files, and the title of an output.
 //!
-//! The paths of files are relative to the job file. The files are checked before the work, and keys
-//! contain their content.
+//! The paths of files are relative to the job file. A run checks the files before it renders, and
+//! keys of results contain hashes of the files' content.
 
 use std::path::Path;
 
@@ -15,7 +15,8 @@ use crate::job::Job;
 use crate::reader::own_reader;
 
 /// Returns the files in the parameters of plugin `id`, each as the name of the parameter and the
-/// path. A parameter that begins with `{` is the content itself, so it is not returned.
+/// path. A value that begins with `{` is the content of a file and not a path, so it is not
+/// returned.
 pub(crate) fn of<'a>(
     registry: &'a Registry,
     id: &str,

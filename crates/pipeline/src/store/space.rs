@@ -14,7 +14,7 @@ pub(crate) const SPLATS: u64 = 4 * size_of::<f32>() as u64;
 /// Bytes of a ray in the guides of a denoiser.
 pub(crate) const GUIDES: u64 = (Features::VALUES.next_multiple_of(3) * size_of::<f32>()) as u64;
 
-/// Returns the bytes of a ray in a traced view, or in a half of its samples.
+/// Returns the number of bytes per ray of a traced view, or of a half of its samples.
 pub(crate) fn traced(filter: Denoise, settings: &Settings) -> u64 {
     if filter == Denoise::Shared { SplitView::packed_bytes(settings) as u64 } else { VIEW }
 }

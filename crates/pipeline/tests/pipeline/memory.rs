@@ -27,7 +27,8 @@ struct Peak {
     said: u64,
 }
 
-/// Runs the job that the environment variable names. Without the variable, this test does nothing.
+/// Runs the job that the environment variable [`JOB`] names. Without this variable, the test does
+/// nothing.
 #[test]
 fn child() {
     let Some(path) = std::env::var_os(JOB).map(PathBuf::from) else { return };

@@ -23,8 +23,8 @@ use crate::LoadError;
 use crate::dynamic;
 use crate::serve::Functions;
 
-/// Time for which the program's last answer about cancellation is used without a new request. Every
-/// answer of the program states whether the user has cancelled.
+/// Every answer of the program states whether the user has cancelled. For this time after an
+/// answer, this statement is used without a new request.
 const CANCEL_VALIDITY: Duration = Duration::from_millis(2);
 /// Stack size of a thread that runs `submit` or `command`, bytes. Stacks of main threads usually
 /// have this size.
@@ -274,8 +274,9 @@ unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorS
     }
 }
 
-// SAFETY of all functions below: the plugin passes back the context of their table. The plugin
-// lends texts and bytes for the call, and passes null or a valid sink for errors.
+// SAFETY of all functions below: the plugin passes the context of the struct that contains the
+// function. The plugin lends texts and bytes for the call, and passes null or a valid sink for
+// errors.
 
 unsafe extern "C" fn log(context: *const c_void, level: u32, message: Str) {
     // SAFETY: guaranteed by the plugin, as the comment before `log` states.
@@ -367,7 +368,8 @@ unsafe extern "C" fn tell_program(context: *const c_void, event_json: Str) {
     unsafe { link_of(context).say(Say::Tell { json: text(event_json) }) };
 }
 
-/// The running call to which data or a sink is lent; the C structs of data and sinks point to it.
+/// A running call, with its data or sinks. The member `context` of their C structs points to this
+/// struct.
 struct Running {
     link: &'static Link,
     call: u64,

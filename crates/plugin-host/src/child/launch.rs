@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::time::Duration;
 
-/// Environment variable: the longest time, in seconds, in which a running plugin neither calls the
-/// host nor returns; 0 for no limit.
+/// Environment variable: the longest time, in seconds, in which a called plugin function neither
+/// calls the host nor returns; 0 for no limit.
 const SILENCE: &str = "LUMISTACK_PLUGIN_SILENCE_S";
 /// Environment variable: the longest time, in seconds, to load a library; 0 for no limit.
 const LOAD: &str = "LUMISTACK_PLUGIN_LOAD_S";
@@ -52,7 +52,8 @@ pub struct Limits {
     /// Longest time from the start of the process until the plugin has described itself.
     pub load: Option<Duration>,
     /// Longest time that a running call may take without a sign of life. The plugin gives a sign
-    /// when it calls a host service, and when one of its functions returns.
+    /// when it calls a host service, and when one of its functions returns. The function `run` of a
+    /// presenter has no such limit.
     pub silence: Option<Duration>,
     /// Time in which a running call must end after the user has cancelled. After this time the
     /// process is ended.

@@ -232,7 +232,8 @@ unsafe impl Functions for Remote {
         // released once.
         unsafe {
             let Opened { owner, host } = *Box::from_raw(instance.cast::<Opened>());
-            // If the child has died, the call that ran at that time has reported it.
+            // A child that has ended cannot be closed. Any call that the end interrupted has
+            // reported the end.
             if owner.0.state().ended {
                 return;
             }

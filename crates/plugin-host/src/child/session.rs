@@ -68,7 +68,7 @@ impl Owner {
         #[cfg(windows)]
         std::os::windows::process::CommandExt::creation_flags(&mut command, CREATE_NEW_PROCESS_GROUP);
         let mut child = command.spawn().map_err(|error| {
-            Stopped::Died(format!("cannot start the plugin's process: {}: {error}", program.display()))
+            Stopped::Died(format!("cannot start {}, the program that runs the plugin: {error}", program.display()))
         })?;
         let (input, output, errors) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
         let (Some(mut input), Some(mut output), Some(errors)) = (input, output, errors) else {
@@ -142,7 +142,7 @@ pub(super) struct Session {
     state: Mutex<State>,
     /// Objects lent to the child's running calls.
     lending: Lending,
-    /// The last bytes that the plugin printed, and whether it has closed its outputs.
+    /// The last bytes that the plugin printed; and true once the child's standard error is closed.
     printed: Mutex<(Vec<u8>, bool)>,
 }
 
@@ -431,8 +431,8 @@ impl Stopped {
 fn cause_of(status: ExitStatus) -> String {
     #[cfg(unix)]
     if let Some(signal) = std::os::unix::process::ExitStatusExt::signal(&status) {
-        // The numbers 7 and 31 have these meanings on Linux. All other numbers have them on every
-        // Unix system.
+        // The names of the signals 7 and 31 are those of Linux. The other names hold on every Unix
+        // system.
         let name = match signal {
             2 => " (interrupt)",
             3 => " (quit)",

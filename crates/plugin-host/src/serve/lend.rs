@@ -40,7 +40,7 @@ pub struct NodeData<'a> {
     pub field: &'a LightField,
     /// Weights of the light field's rays.
     pub weights: &'a Weights,
-    /// A layer stack of the display from which the node may start.
+    /// A layer stack from which the node may start; it matches the display.
     pub start: Option<&'a LayerStack>,
     /// The seed of the node's random numbers.
     pub seed: u64,

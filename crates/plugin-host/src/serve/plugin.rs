@@ -167,7 +167,8 @@ impl Plugin {
     /// description.
     ///
     /// # Errors
-    /// If the description is invalid, by the rules of [`from_descriptor`](Self::from_descriptor).
+    /// If the id or the parameters are invalid. The other process has checked the rest of the
+    /// description.
     pub fn elsewhere(info: PluginInfo, functions: Arc<dyn Functions>) -> Result<Self, PluginError> {
         let refused = |what: String| PluginError::Refused(format!("plugin `{}`: {what}", info.id));
         if !is_plugin_id(&info.id) {

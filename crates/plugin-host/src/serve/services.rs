@@ -121,7 +121,8 @@ unsafe extern "C" fn log<S: Services>(context: *const c_void, level: u32, messag
         level::INFO => LogLevel::Info,
         _ => LogLevel::Debug,
     };
-    // SAFETY: the plugin returns the table's context and lends the text.
+    // SAFETY: the plugin passes the table's context as an argument, and lends the text for the
+    // call.
     contained(|| unsafe { services::<S>(context).log(level, &lent_lossy(message)) });
 }
 
@@ -151,7 +152,7 @@ unsafe extern "C" fn file_open<S: Services>(
     file: *mut u64,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: the plugin returns the table's context, lends the texts, and provides memory for the
+    // SAFETY: the plugin passes the table's context, lends the text, and provides memory for the
     // handle.
     unsafe {
         answer(error, || {
@@ -168,7 +169,7 @@ unsafe extern "C" fn file_append<S: Services>(
     bytes: Bytes,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: the plugin returns the table's context, and lends the bytes.
+    // SAFETY: the plugin passes the table's context, and lends the bytes.
     unsafe { answer(error, || services::<S>(context).file_append(file, lent_bytes(bytes, "bytes of a file")?)) }
 }
 
@@ -197,7 +198,7 @@ unsafe extern "C" fn simulate(
     plane: *mut Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: the plugin returns the data of the running submit, and lends the view and memory for
+    // SAFETY: the plugin passes the data of the running `submit`. It lends the view, and memory for
     // the plane.
     unsafe { answer(error, || lend::simulate(data, view, plane)) }
 }

@@ -370,8 +370,8 @@ fn a_program_that_cannot_be_started_is_named() {
     };
     let nothing = lumistack_plugin_host::Launcher { program: "/no/such/program".into(), args: Vec::new() };
     let error = load(Some(nothing));
-    assert!(error.contains("cannot start the plugin's process: /no/such/program: "), "{error}");
-    assert!(load(None).contains("found a program without a launcher"));
+    assert!(error.contains("cannot start /no/such/program, the program that runs the plugin: "), "{error}");
+    assert!(load(None).contains("found a program without a `Launcher`"));
     // Use a launcher whose program does not run plugins.
     let other = lumistack_plugin_host::Launcher { program: "echo".into(), args: Vec::new() };
     let error = load(Some(other));

@@ -173,10 +173,10 @@ const LumistackDescriptor *lumistack_plugin_entry_garbage(void) { return &descri
         let error = output.submit(Time::default(), sample.data()).unwrap_err();
         // The plugin returns status 1234 if the host has refused all invalid arguments. Otherwise
         // it returns minus the number of wrong answers.
-        assert_eq!(error.to_string(), "status 1234 without a reason");
+        assert_eq!(error.to_string(), "expected an error text, found only the status 1234");
         assert_eq!(host.files().into_keys().collect::<Vec<_>>(), ["a.txt"]);
         assert!(host.open_files().is_empty());
-        assert_eq!(output.finish().unwrap_err().to_string(), "status -7 without a reason");
+        assert_eq!(output.finish().unwrap_err().to_string(), "expected an error text, found only the status -7");
     }
 }
 

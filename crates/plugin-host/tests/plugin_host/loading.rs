@@ -120,7 +120,7 @@ fn names_and_places_are_checked() {
     fs::copy(example("faulty"), &upper).unwrap();
     assert!(failure(&upper).starts_with("expected a file named"));
     let missing = failure(&folder.path().join("nothing"));
-    assert!(missing.starts_with("expected a plugin or a folder of plugins that can be read: "), "{missing}");
+    assert!(missing.starts_with("cannot read this plugin library, or folder of plugin libraries: "), "{missing}");
     let empty = folder.path().join("release");
     fs::create_dir(&empty).unwrap();
     let expected = format!("expected files named like `{}`, found none; `cargo build --release` ", file_name("*"));

@@ -174,7 +174,7 @@ fn panics_come_back_as_errors_and_the_plugin_can_be_opened_again() {
     assert_eq!(write("panic in drop", &host, sample), Err(PluginError::Panicked("panic in drop".into())));
     let plugin = Plugin::compiled_in(&PLUGIN).unwrap();
     drop(Output::open(&plugin, &host, &json!({"fault": "panic in drop"}), &sample.display).unwrap());
-    assert_eq!(host.messages()[0].1, "panicked while closing: panic in drop");
+    assert_eq!(host.messages()[0].1, "the plugin panicked when it was closed: panic in drop");
     write("", &MemoryHost::new(), sample).unwrap();
 }
 
@@ -251,8 +251,8 @@ const LEAKS_FILES: u8 = 3;
 const LEAVES_STAGES: u8 = 4;
 const SCHEMA_DIFFERS: u8 = 5;
 const WRITES_NOTHING: u8 = 6;
-/// Ignores the error of a write before `commit`, as encoders do that write when they are dropped.
-/// The rules allow this, since `commit` returns the error.
+/// Ignores the error of a write before `commit`. Some encoders do this, since they write their last
+/// bytes when they are dropped. The rules allow this, since `commit` returns the error.
 const LEAVES_ERRORS_TO_COMMIT: u8 = 7;
 
 #[derive(Deserialize)]

@@ -103,8 +103,9 @@ impl ThresholdMap {
     }
 
     /// Returns the shift of the map, [rows, columns]. Every channel of a pattern has its own number
-    /// `n`. For a Bayer map, the shifts for n and n + 1 exchange the two halves of a checkerboard.
-    /// For a blue-noise map, the shifts are spread evenly over the map.
+    /// `n`. For a Bayer map, the shifts for n and n + 1 differ by 3 rows and 2 columns. So pixels
+    /// with the lower half of the thresholds for n have the upper half for n + 1. For a blue-noise
+    /// map, the shifts are spread evenly over the map.
     fn shift(&self, n: usize) -> [usize; 2] {
         if self.side < BLUE_NOISE_SIDE {
             return [3 * n, 2 * n];

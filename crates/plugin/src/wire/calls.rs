@@ -17,7 +17,7 @@ pub fn call(function: impl FnOnce(*const ErrorSink) -> Status) -> Result<(), Plu
     let mut text = String::new();
     let status = function(&keeping(&mut text));
     if text.is_empty() {
-        text = format!("status {} without a reason", status.0);
+        text = format!("expected an error text, found only the status {}", status.0);
     }
     match status {
         Status::OK => Ok(()),

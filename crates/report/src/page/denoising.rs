@@ -31,7 +31,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
             p {
                 "Every view was filtered by " (denoising.name) ". Mean squared error of the exposed radiance: "
                 strong { (estimate(overall.mse_before)) " before, " (estimate(overall.mse_after)) " after" }
-                ", measured at a sixty-fourth of the pixels, with new samples that the filter never used. The mean changed by "
+                ", measured at one pixel in 64 of at most 25 views, with new samples that the filter never used. The mean changed by "
                 strong { (relative(overall.mean_change[0] / overall.mean)) } " ± " (format!("{:.3} %", 100.0 * overall.mean_change[1] / overall.mean))
                 ". The value after ± is a standard error."
             }

@@ -144,8 +144,8 @@ struct Heat {
 const HEATS: [Heat; 3] = [
     Heat {
         heading: "PSNR per view, dB",
-        explanation: "Every cell is a view, laid out as an eye in front of the display moves: the topmost views in the top row. PSNR is 10·log₁₀(1/mean squared error) in linear light with peak 1; \
-                      6 dB more is half the error. PSNR usually falls towards the corners; a single bad cell marks a view to check.",
+        explanation: "Every cell is a view. The cells are in the order of the eye positions, with the topmost views in the top row. PSNR is 10·log₁₀(1/mean squared error) in linear light with peak 1; \
+                      6 dB more is half the root-mean-square error. PSNR usually falls towards the corners; a single bad cell marks a view to check.",
         value: |view| view.error.psnr(),
         overall: FieldScore::psnr_view,
         text: format::decibels,

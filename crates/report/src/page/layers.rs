@@ -147,7 +147,7 @@ fn close_up(sheet: &Sheet, name: &str) -> Markup {
     html! {
         p class="note" {
             "Close-up, pixel by pixel: columns " (col) " to " (col + cols - 1) ", rows " (row) " to " (row + rows - 1)
-            @if closeup.mean.is_some() { ", where the frames differ most finely" }
+            @if closeup.mean.is_some() { ", where the differences between frames have the finest detail" }
             ". Only the green channel is shown, since the masks of the channels differ. "
             @if stretched { "Contrast stretched: " (low) " is black, " (high) " white." } @else { "Contrast is unchanged." }
         }

@@ -49,7 +49,7 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
         (
             "Time steps",
             input.times.len().to_string(),
-            "each starts from the patterns of the previous time step, unless a fresh start is better",
+            "each later time step starts from the patterns of the previous time step, unless a fresh start is better",
         ),
         ("PSNR of the views", db(Some(report.psnr_view)), "psnr_view of all time steps together"),
         ("PSNR of raw light", db(Some(report.psnr_raw)), "psnr_raw: emitted light, L̃ against βL"),
@@ -109,7 +109,7 @@ fn plots(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
         section id=(id) {
             h2 { "Error and flicker over time" }
             p {
-                "Left: the PSNR of every time step. The first time step has no warm start. If the curve falls after the first time step, more iterations at later time steps help."
+                "Left: the PSNR of every time step. The first time step usually has no warm start. If the curve falls after the first time step, more iterations at later time steps help."
                 @if flicker.is_some() {
                     " Next: flicker, the unwanted change. Flicker is the rms, over all rays and channels, of the change of the error L̃/β − L since the previous time step, in dB below full "
                     "brightness, so higher means less flicker. A constant error does not flicker. If errors of time steps are independent, flicker is 3 dB below the PSNR."

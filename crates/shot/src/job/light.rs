@@ -23,12 +23,13 @@ pub struct LightJob {
     /// Rotation of the environment about the scene's up axis, degrees. A positive angle turns the
     /// environment to the left, as seen by a viewer who looks straight ahead.
     pub environment_rotation_deg: f64,
-    /// Background where a ray misses every surface; it does not light surfaces.
+    /// Background where a ray misses every surface: `environment`, or a colour, which does not
+    /// light surfaces.
     pub background: Background,
     /// Illuminate the meshes with the scene's splats instead of an environment.
     pub from_splats: bool,
-    /// Add the studio light if the scene has no light, or if its light leaves the visible surfaces
-    /// dark.
+    /// Add the studio light to a scene with meshes, if the scene has no light, or if its lamps
+    /// leave the visible surfaces dark.
     pub automatic: bool,
     /// Show the scene file's light sources that have a surface. Without this key the scene file
     /// decides. If the file does not decide, these light sources are invisible.

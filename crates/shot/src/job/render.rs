@@ -23,10 +23,10 @@ pub struct RenderJob {
     /// Paths per pixel, summed over all views. The solver averages all rays through a layer's
     /// pixel, so more views need fewer paths each.
     pub zone_samples: ZoneSamples,
-    /// Greatest number of views that a display with automatic views chooses, 9 to 1000000. Fewer
-    /// views take less time and memory. If the display has more native slopes, it then uses every
-    /// second one, or every third, and so on. Without this key only the time of a run limits the
-    /// number.
+    /// Greatest number of views that a display with `views = "auto"` chooses, 9 to 1000000. Fewer
+    /// views take less time and memory. If the display has more native slopes, only every second
+    /// native slope is used, or every third, and so on. Without this key, only the other limits of
+    /// automatic views apply, such as 101 views per axis.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub most_views: Option<u32>,
     /// Largest memory of the light field while it is rendered, read and solved, MiB. A light field
@@ -62,7 +62,7 @@ pub struct RenderJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ZoneSamples {
     /// The number above which further paths would hardly improve the display's picture. It is
-    /// measured on small regions of the picture. If it is not measured, it is 800.
+    /// measured on small sections of the picture; without a measurement, it is 800.
     #[default]
     Auto,
     /// A fixed number, 1 to 2²⁴.
@@ -153,8 +153,8 @@ impl Visitor<'_> for ZoneSamplesForm {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Engine {
-    /// Lumistack's path tracer. Blender renders a `.blend` file with content that the path tracer
-    /// does not support.
+    /// Lumistack's path tracer. Only a `.blend` file with content that the path tracer does not
+    /// support is rendered by Blender, if Blender can render the job.
     #[default]
     Auto,
     /// Lumistack's path tracer.
@@ -309,7 +309,7 @@ impl RenderJob {
     ///
     /// If the display chooses its views, a view with a single path per pixel has a [further
     /// ray](Settings::further_rays). This ray smooths edges and textures, and costs a sixth to a
-    /// half of a path. If there are many such views, their [paths are
+    /// half of a path. If the display chooses many views, their [paths are
     /// sparse](Settings::sparse_paths). Only fixed views have [further
     /// paths](Settings::further_paths), since users may look at each fixed view alone. If a display
     /// chooses its views, the solver averages the noise that further paths would remove.

@@ -53,9 +53,9 @@ pub struct WindowJob {
 #[serde(rename_all = "lowercase")]
 pub enum FitDepth {
     /// Changes nothing in three cases: in a sweep; if the scene fits; if the depth of field does
-    /// not lie on both sides of the display. Otherwise acts as [`Compress`](Self::Compress), with
-    /// two differences. The window stays if numbers or a focus distance of its camera place it.
-    /// The depth scale stays if the job sets it.
+    /// not lie on both sides of the display plane. Otherwise acts as [`Compress`](Self::Compress),
+    /// with two differences. The window stays if the job gives its numbers (`from = "given"`), or
+    /// if the job or the camera states a focus distance. The depth scale stays if the job sets it.
     #[default]
     Auto,
     /// Neither window nor depth changes.

@@ -38,7 +38,8 @@ const FRONT_SHARE: f64 = 0.125;
 const CAPTURE_SHARE: f64 = ENOUGH;
 /// A side is good enough if it shows at least this fraction of the largest area. A flat board shows
 /// most from the highest candidate elevation, 55°. From 40° it shows sin 40° / sin 55° = 0.78 of
-/// that, which suffices. A card shows only 0.71 from 45°, so it is seen face on.
+/// that, which suffices. A card that faces +x shows only 0.71 from the azimuth 45°, so it is seen
+/// from 90°.
 const ENOUGH: f64 = 0.745;
 /// Numbers of columns and rows of rays by which the area along a candidate direction is measured.
 const PROBE: [usize; 2] = [96, 60];

@@ -248,7 +248,8 @@ fn rounded(value: f64) -> String {
 
 /// Scales a window in its own plane to the visible scene, without cutting off visible content. With
 /// `recentre` the window frames the scene, and may move within its plane. Otherwise the window
-/// shrinks about its centre, at most until the scene covers the fraction [`COVERAGE`] of its area.
+/// shrinks about its centre, at most until the scene covers the fraction [`COVERAGE`] of the
+/// window's area.
 fn close_up<S: Subject>(
     subject: &S,
     window: Window,

@@ -6,7 +6,7 @@
 //!                  scale_0..2 (logarithms)  rot_0..3 (w x y z)
 //!
 //! compressed form, with the bits of each component
-//! element chunk    min_x ... max_b of 256 splats each
+//! element chunk    min_x ... max_b, the bounds of 256 splats per row
 //! element vertex   packed_position (11 10 11)  packed_rotation (2 10 10 10)
 //!                  packed_scale (11 10 11)  packed_color (8 8 8 8)
 //! element sh       f_rest_0..44 as bytes, −4..4

@@ -84,8 +84,9 @@ impl Kernel for Blend {
     unsafe fn run<V: Lanes>(args: Self::Args<'_>) -> bool {
         let Args { splats, chosen, first, cuts, sums } = args;
         let mut open = false;
-        // SAFETY: the caller's machine has the instruction set of V. Every array has PIXELS values,
-        // COUNT of them from `i` on are read and written, and COUNT divides PIXELS.
+        // SAFETY: the caller's machine has the instruction set of V, and `chosen` holds indices of
+        // `splats`. Every array has PIXELS values, COUNT of them from `i` on are read and written,
+        // and COUNT divides PIXELS.
         unsafe {
             let (zero, one) = (V::splat(0.0), V::splat(1.0));
             let (limit, dark, half) = (V::splat(LIMIT), V::splat(DARK), V::splat(0.5));
@@ -104,8 +105,8 @@ impl Kernel for Blend {
                     let [a, b, c] = splat.conic.map(|value| V::splat(value));
                     let v = dx.mul(a).mul_add(dx, b.mul(dx).mul_add(dy, c.mul(dy).mul(dy)));
                     let z = V::splat(splat.z);
-                    // A splat contributes to a pixel if the pixel is within its extent and
-                    // unfinished. It must also be in front of the pixel's surface.
+                    // A splat contributes to a pixel if the pixel is unfinished and within the
+                    // splat's extent. The splat must also be in front of the pixel's surface.
                     let lit = V::both(V::both(v.at_most(limit), dark.at_most(through)), cut.at_most(z));
                     if V::bits(lit) == 0 {
                         continue;

@@ -191,8 +191,9 @@ impl Kernel for Project {
     }
 }
 
-/// Computes the harmonics of the directions from the eyes to a point, and writes them to `to`. `z`
-/// is the point's depth minus the eyes' depth.
+/// Computes the basis functions Y_lm of the directions from the eyes to a point, and writes them to
+/// `to`. `z` is the point's depth minus the eyes' depth. `values` is the length of the splat's list
+/// of harmonics; up to 3 values, only Y_00 is written.
 #[inline(always)]
 fn directions(eyes: &Eyes, [x, y, z]: [f32; 3], map: &[[f32; 3]; 3], values: usize, to: &mut [Lane; MOST]) {
     let mut of_axis = [[0.0; VIEWS]; 3];

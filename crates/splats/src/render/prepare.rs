@@ -3,8 +3,8 @@
 //! Coordinates are pixels of the light field. The column is x and the row is y; both are whole
 //! numbers at the centres of pixels. The axis z points from the window to the viewer. A ray of
 //! slope s = (s_x, s_y), with y downwards, that crosses z = 0 at p has the points p + z s. Let a
-//! splat have the centre (x, y, z) and the covariance Σ. Its projection onto z = 0 along such rays
-//! is linear, so it is exact. The projection has the centre p and the covariance Σ':
+//! splat have the centre (x, y, z) and the covariance Σ. The projection onto z = 0 along such rays
+//! is linear, so the projected splat is a Gaussian, too. It has the centre p and the covariance Σ':
 //!
 //! ```text
 //! p = (x − z s_x, y − z s_y),   Σ' = J Σ Jᵀ,   J = m (1 0 −s_x; 0 1 −s_y),   m = 1
@@ -138,12 +138,13 @@ pub(crate) fn ends(eyes: &[Eye]) -> Vec<Eye> {
 
 /// All splats that a window can show, with their order by depth.
 pub(crate) struct Prepared {
-    /// The splats in the order of their clouds, in which neighbours in space are neighbours in
-    /// memory.
+    /// The splats in the order of their clouds. In large clouds, splats that are close in space are
+    /// also close in memory.
     pub(crate) splats: Vec<Splat>,
     /// Indices of the splats, nearest to the viewer first.
     pub(crate) by_depth: Vec<u32>,
-    /// For each placed cloud, the rotation from directions in pixels to directions of the cloud.
+    /// For each placed cloud, the map from directions in pixels to directions of the cloud. It
+    /// reverses y and rotates.
     pub(crate) cloud_from_pixels: Vec<Mat3>,
 }
 

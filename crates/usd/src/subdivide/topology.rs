@@ -85,7 +85,7 @@ pub(super) enum Rule {
 /// Corners around a vertex, counter-clockwise. Each corner shares an edge with the next.
 pub(super) struct Fan {
     pub(super) corners: Vec<u32>,
-    /// True if the last corner is next to the first, so that the fan surrounds the vertex.
+    /// True if the last corner shares an edge with the first, so that the fan surrounds the vertex.
     pub(super) closed: bool,
 }
 

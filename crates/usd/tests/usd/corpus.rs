@@ -1,5 +1,6 @@
-//! Public files in the folder that `LUMISTACK_ASSETS` names, read by the Python that
-//! `LUMISTACK_PYTHON` names. Without the folder or the Python, the tests are skipped.
+//! Public files in the folder that `LUMISTACK_ASSETS` names, by default `../shared/scenes`. The
+//! Python that `LUMISTACK_PYTHON` names reads them. Without the folder or the Python, the tests are
+//! skipped.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -356,8 +356,8 @@ fn meshes_with_joints_of_their_own_are_posed_with_their_normals() {
     }
 }
 
-/// Without joints, a mesh with blend shapes keeps its authored normals, plus the weighted offsets
-/// of the blend shapes.
+/// A mesh with blend shapes keeps its authored normals, plus the weighted offsets of the blend
+/// shapes. A joint at rest changes nothing.
 #[test]
 fn blend_shapes_move_points_and_authored_normals() {
     if common::python().is_none() {

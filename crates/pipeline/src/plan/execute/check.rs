@@ -40,8 +40,8 @@ impl Context<'_> {
             }
             plugins(job, self.registry)?;
             check_folder(&self.dir(number))?;
-            // Open the outputs of a scene, so that their plugins refuse displays that they cannot
-            // show. For other inputs, the step that reads or makes the light field opens them.
+            // Open the outputs of a scene, so that their plugins refuse displays that they do not
+            // support. For other inputs, the step that reads or makes the light field opens them.
             if job.scene.is_some() && !matches!(part.kind, PartKind::Node(_)) {
                 let geometry = display.geometry().map_err(|source| display_error(source, "display"))?;
                 if job.nodes.is_empty() {

@@ -137,8 +137,8 @@ impl<'a> Context<'a> {
                 }
                 _ => of_part.job.clone(),
             },
-            // The warm start of a node is in the job of the node's time step, after the values
-            // above are filled in.
+            // A node takes its values from the completed job of its time step, which contains the
+            // node's warm start.
             (PartKind::Node(_), Some(parent)) => {
                 let around = self.job(parent);
                 plan.node(part)

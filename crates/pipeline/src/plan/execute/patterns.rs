@@ -54,8 +54,8 @@ impl Context<'_> {
                 tiles::run(solve, &stamps, task)?
             }
         };
-        // Write the settings only after the solve. If a run stops earlier, the folder keeps
-        // settings, patterns and report of the last run, which match each other.
+        // Write the settings only after the solve. If this run stops earlier, the folder keeps the
+        // settings, patterns and report of the previous run, which match each other.
         let dir = self.dir(part);
         if of_node.is_none() {
             write_job(&job, &dir)?;

@@ -196,7 +196,7 @@ def view_camera(window: Window, slope: Sequence[float], distance_mm: float | Non
     width = window.size_mm[0]
     shift = (-distance_mm * s_x / width, -distance_mm * s_y / width)
     if max(map(abs, shift)) > MOST_SHIFT:
-        found = f"{max(map(abs, shift)):.1f}: the view is too far to the side of the window, which is {width:.0f} mm wide"
+        found = f"{max(map(abs, shift)):.1f}, since the view is too far to the side of the window, which is {width:.0f} mm wide"
         raise WindowError(f"shift of the camera: expected at most {MOST_SHIFT:.0f} widths of the picture, the most that Blender's cameras support, found {found}")
     lens = SENSOR_MM * distance_mm / width
     if lens < 1.0:

@@ -80,7 +80,7 @@ def parse(words: list[str]) -> Asked:
     parser.add_argument("-o", "--output", metavar="DIR", dest="folder", help="folder for all results")
     parser.add_argument("--display", metavar="PRESET|FILE", help="name of a built-in display, or path of a display file")
     parser.add_argument("--grid", choices=["display", "oblique", "perspective"], help="parallel views, or views from eyes")
-    parser.add_argument("--distance-mm", type=float, metavar="MM", help="distance of the eyes from the display, with --grid perspective (the default with this option)")
+    parser.add_argument("--distance-mm", type=float, metavar="MM", help="distance of the eyes from the display; implies --grid perspective")
     parser.add_argument("--views", type=_views, metavar="auto|half|HxV", help="number of views: auto (enough that the picture is also correct between the views), half (half as many per axis as auto), or HxV")
     parser.add_argument("--score", action=argparse.BooleanOptionalAction, help="render a few views more, and score the display between its views")
     parser.add_argument("--quality", choices=["draft", "preview", "full"], help="quality, as in the panel; determines pixels, iterations and paths")

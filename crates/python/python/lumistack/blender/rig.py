@@ -59,7 +59,7 @@ def check_engine(bpy: Any, scene: Any) -> None:
         _can_draw.append(drew)
     if not _can_draw[0]:
         name = "Workbench" if "WORKBENCH" in engine else "EEVEE"
-        raise NoOpenGL(f"{name} needs OpenGL, which Blender does not find here without a window: use Cycles, or start Blender with a screen (for example by `xvfb-run`)")
+        raise NoOpenGL(f"{name} needs OpenGL, which Blender does not find here without a window; use Cycles, or start Blender with a screen (for example by `xvfb-run`)")
 
 
 class Rig:
@@ -214,7 +214,7 @@ def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: floa
     if focus is None and not has_content(bpy):
         raise NoWindow("the scene has no visible objects: add an object, or switch one on for renders")
     if focus is None:
-        raise NoWindow(f"{camera.name}: the camera sees no object whose distance could set that of the window: aim the camera at an object, or set its focus distance")
+        raise NoWindow(f"{camera.name}: the camera sees no object from whose distance the window's distance follows; aim the camera at an object, or set the camera's focus distance")
     return window_of_camera(matrix, frame, camera.data.type == "ORTHO", focus, size_mm)
 
 

@@ -52,6 +52,6 @@ def export_scene(bpy: Any, path: str | Path) -> None:
     """Writes the scene at the current frame. The scene's pictures are written to a folder beside
     the file."""
     if not bpy.app.build_options.usd:
-        raise NoExporter(f"Blender {bpy.app.version_string} was built without USD: hand the scene over as glTF")
+        raise NoExporter(f"Blender {bpy.app.version_string} was built without USD; hand the scene over as glTF")
     known = bpy.ops.wm.usd_export.get_rna_type().properties.keys()
     bpy.ops.wm.usd_export(filepath=str(path), **{name: value for name, value in SETTINGS.items() if name in known})
