@@ -277,8 +277,8 @@ pub(crate) struct Group {
 }
 
 /// Adds the terms of a group of views to the sums. If `SHARED` is true, the terms of each view are
-/// multiplied by the view's share: the interpolation weight of the line under update in the values
-/// that the view's rays read.
+/// multiplied by the view's share. The share is the interpolation weight of the line under update
+/// in the values that the view's rays read.
 ///
 /// # Safety
 /// The machine has `V`'s instruction set, and the buffers hold as many views as the group.

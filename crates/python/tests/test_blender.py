@@ -257,7 +257,7 @@ def test_directions_for_the_score_lie_between_the_views() -> None:
             assert found == pytest.approx([-slope for slope in found[::-1]]) or most == 1
             assert all(min(abs(slope - view) for view in views) == pytest.approx(0.05) for slope in found)
     # The picture after a run is seen from the slope between two views that is nearest to straight
-    # ahead. Of two such slopes, it is the one to the right or up.
+    # ahead. If two slopes are equally near, it is the one to the right or up.
     assert between.beside_middle([-0.1, 0.0, 0.1]) == pytest.approx(0.05) == between.beside_middle([0.1, 0.0, -0.1])
     assert between.beside_middle([-0.15, -0.05, 0.05, 0.15]) == pytest.approx(0.0) and between.beside_middle([0.0]) == 0.0
 

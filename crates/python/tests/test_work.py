@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -16,9 +17,17 @@ import pytest
 
 import lumistack
 
-#: Longest time from an interrupt to the end of the work on a busy machine, seconds. On an idle
-#: machine it is less than 0.2.
-PATIENCE = 1.0
+#: Most processor time from an interrupt to the end of the work, seconds of each core. On an idle
+#: machine the work ends after less than 0.2 s. Other programs delay the end, but do not add to the
+#: processor time of this work.
+PATIENCE = 1.0 * (os.cpu_count() or 1)
+
+
+def processor_time(child: subprocess.Popen[str]) -> float:
+    """Processor time that a child process has used, seconds; from `/proc` of Linux."""
+    fields = Path(f"/proc/{child.pid}/stat").read_text().rpartition(")")[2].split()
+    user, system = fields[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def interruptible() -> None:
@@ -39,7 +48,7 @@ def callback(stage, share):
 try:
     {call}
 except KeyboardInterrupt:
-    print("interrupted", time.time(), flush=True)
+    print("interrupted", time.process_time(), flush=True)
     print(lumistack.factorize(field, iterations=0).frames, "frames", flush=True)
 """
 
@@ -59,11 +68,11 @@ def test_ctrl_c_interrupts(call: str, scene: Path, tmp_path: Path) -> None:
     child = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, preexec_fn=interruptible)
     assert child.stdout is not None and child.stdout.readline().strip() == "started"
     time.sleep(0.5)
-    asked = time.time()
+    asked = processor_time(child)
     child.send_signal(signal.SIGINT)
     word, at = child.stdout.readline().split()
     took = float(at) - asked
-    print(f"interrupted after {took:.3f} s")
+    print(f"interrupted after {took:.3f} s of processor time")
     assert word == "interrupted" and took < PATIENCE
     assert child.stdout.readline().strip() == "12 frames", "the package still works"
     assert child.wait() == 0
@@ -79,10 +88,13 @@ def test_ctrl_c_ends_the_command_with_130(scene: Path, tmp_path: Path) -> None:
         if line.startswith("render"):
             break
     time.sleep(0.3)
-    asked = time.time()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    asked = processor_time(child)
     child.send_signal(signal.SIGINT)
-    assert child.wait(timeout=20) == 130
-    assert time.time() - asked < PATIENCE + 1.0
+    assert child.wait(timeout=120) == 130
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    in_all = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    assert in_all - asked < PATIENCE
     assert "stopped; run the same command again" in child.stderr.read()
 
 
@@ -122,10 +134,11 @@ def test_an_exception_of_the_callback_stops_the_work(slow: tuple[lumistack.Light
     def fail(stage: str, share: float) -> None:
         raise LookupError(stage)
 
-    start = time.perf_counter()
+    # Without a stop, the work would take hours.
+    start = time.process_time()
     with pytest.raises(LookupError, match="factorize"):
         lumistack.factorize(light_field, iterations=100000, callback=fail)
-    assert time.perf_counter() - start < 5.0
+    assert time.process_time() - start < 20.0
 
 
 def test_work_in_several_threads(light_field: lumistack.LightField) -> None:

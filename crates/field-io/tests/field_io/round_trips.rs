@@ -162,8 +162,8 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     write_field(folder.path(), &field, &Map::new()).unwrap();
     let [bin_x, bin_y] = field.geometry().grid.bin_width();
     let flags = GeometryFlags { views: Some([1, 3]), prefilter: true, ..GeometryFlags::default() };
-    // with one kept view per view row there is no step along x, so views are averaged only along y:
-    // the central view has the weight 1/2, and the views above and below it have 1/4 each
+    // With one kept view per view row there is no step along x, so views are averaged only along y.
+    // The central view has the weight 1/2, and the views above and below it have 1/4 each.
     let (filtered, _) = open_for(folder.path(), &flags, [3.0 * bin_x, 2.0 * bin_y]);
     let filtered = filtered.unwrap();
     for (i, found) in filtered.view([1, 0]).iter().enumerate() {

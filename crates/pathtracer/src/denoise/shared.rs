@@ -10,10 +10,10 @@
 //! L' = ρ_d E' + γ_d H'
 //! ```
 //!
-//! ρ_p is the mean diffuse reflectance of the first surfaces over the pixel's paths, and ρ_d the
-//! mean over all rays of the pixel. γ_p and γ_d are the same means of the other lobes' reflectance
-//! at normal incidence. With [`Settings::further_rays`](crate::Settings::further_rays), pixels have
-//! more rays than paths.
+//! The mean diffuse reflectance of the first surfaces is ρ_p over the pixel's paths, and ρ_d over
+//! all rays of the pixel. The same means of the other lobes' reflectance at normal incidence are
+//! γ_p and γ_d. With [`Settings::further_rays`](crate::Settings::further_rays), pixels have more
+//! rays than paths.
 //!
 //! View u sees the surface point of pixel p at the position p_u. Between two views with the slopes
 //! s and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface
