@@ -54,6 +54,23 @@ fn files_of_the_solver() {
     }
 }
 
+/// No ray hits a layer: the error comes before any view is rendered.
+#[test]
+fn displays_without_rays() {
+    let folder = tempfile::tempdir().unwrap();
+    let (display, run) = (folder.path().join("aside.toml"), folder.path().join("run"));
+    let layer = "[[layers]]\nresolution = [20, 12]\npitch_mm = 1.0\n";
+    let text = format!(
+        "name = \"aside\"\nframes = 2\n[field]\nresolution = [20, 12]\npitch_mm = 1.0\nfov_deg = [20, 20]\n\
+         {layer}d_mm = 10\n{layer}d_mm = -10\noffset_mm = [500, 0]\n"
+    );
+    std::fs::write(&display, text).unwrap();
+    let scene = root().join("scenes/still-life/still-life.gltf");
+    let text = fail(lumistack().arg("run").arg(scene).arg("-o").arg(&run).arg("--display").arg(&display));
+    assert!(text.contains("expected at least one ray") && text.contains("hits all layers"), "{text}");
+    assert!(!run.exists() || std::fs::read_dir(&run).unwrap().next().is_none(), "views were rendered");
+}
+
 #[test]
 fn scenes() {
     let text = run_fails("nan.gltf", format!("{}}}", triangle("nan", "")).as_bytes());

@@ -156,7 +156,7 @@ fn choices(contents: &SceneContents) -> Value {
                 "frames": format!("{first} to {last} at {rate} per second ({:.2} s)", contents.duration_s()),
                 "scenes": contents.scenes,
                 "engine": contents.engine,
-                "beyond our path tracer": contents.lost,
+                "not supported by the path tracer": contents.lost,
             })
         }
         SceneContents::Usd(contents) => {

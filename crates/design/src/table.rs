@@ -463,11 +463,9 @@ fn of_zone(rows: &[Row]) -> bool {
     rows.iter().any(|row| row.psnr_zone_db.is_some())
 }
 
-fn value_label(rows: &[Row]) -> String {
-    match of_zone(rows) {
-        true => "PSNR over the whole zone, dB".into(),
-        false => format!("PSNR at the target views, dB; cells with an outline have {GOOD_DB:.0} dB or more"),
-    }
+/// Returns the name and the unit of the score that ranks the designs.
+fn score_label(rows: &[Row]) -> &'static str {
+    if of_zone(rows) { "PSNR over the whole zone, dB" } else { "PSNR at the target views, dB" }
 }
 
 fn title(part: &[Row], others: &[Axis]) -> String {
@@ -488,7 +486,10 @@ fn map_of(all: &[Row], part: &[Row], x: Axis, y: Axis, others: &[Axis]) -> Resul
         title: title(part, others),
         x_label: x.label().into(),
         y_label: y.label().into(),
-        value_label: value_label(all),
+        value_label: match of_zone(all) {
+            true => score_label(all).into(),
+            false => format!("{}; cells with an outline have {GOOD_DB:.0} dB or more", score_label(all)),
+        },
         columns,
         rows,
         values,
@@ -517,7 +518,7 @@ fn curves_of(all: &[Row], part: &[Row], x: Axis, by: Option<Axis>, others: &[Axi
     let axes = Axes {
         title: title(part, others),
         x_label: x.label().into(),
-        y_label: value_label(all),
+        y_label: score_label(all).into(),
         x: None,
         y: Some([(lowest - 1.0).floor(), (highest + 1.0).ceil()]),
     };

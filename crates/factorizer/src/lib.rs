@@ -81,8 +81,9 @@ pub use factorize::{
     Factorization, Iteration, LevelsLoss, Ongoing, Settings, ZONE_ITERATIONS, factorize, factorize_on, factorize_tile,
     warm_start_pays,
 };
-pub use memory::{held_bytes, paged_bytes};
+pub use memory::{held_bytes, paged_bytes, weight_bytes};
 pub use multiplicative::Multiplicative;
+pub use plan::check_rays;
 pub use problem::{FactorizeError, Problem};
 pub use quantize::{has_levels, reoptimize_on_levels, round_to_levels};
 pub use solver::{AUTO, Objective, Run, Solver};

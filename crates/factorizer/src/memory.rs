@@ -23,8 +23,8 @@ const SMALL: u64 = 1 << 20;
 /// * the factors during the run, and the patterns before and after it,
 /// * tables, and the buffers of each thread.
 ///
-/// The bound does not include the weights, nor the caller's own target, which may be in a mapped
-/// file. The bound assumes that half floats hold the target's values exactly. Otherwise the target
+/// The bound does not include weights ([`weight_bytes`]), nor the caller's own target, which may be
+/// in a mapped file. The bound assumes that half floats hold the target's values exactly. Otherwise the target
 /// is kept in f32, and takes twice the memory.
 pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
     4 * target_bytes(geometry) / 3 + bytes_beside_target(display, geometry, threads)
@@ -50,6 +50,13 @@ pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, 
         + PLACES * views * rows
         + target_bytes(geometry) / 3
         + bytes_beside_target(display, geometry, threads as usize)
+}
+
+/// Returns an upper bound of the bytes that the factorizer holds for weights of single rays, at full
+/// resolution and at the coarser levels. The caller's own weights are not included.
+pub fn weight_bytes(geometry: &FieldGeometry) -> u64 {
+    // weights are single floats, and the target has three half floats per ray
+    4 * (2 * target_bytes(geometry) / 3) / 3
 }
 
 /// Returns the bytes of the factorizer's own copy of the target: half floats in padded rows.

@@ -73,6 +73,37 @@ impl TilePlace {
     }
 }
 
+/// Checks that at least one ray of a display's light field is valid, so that a solver can find
+/// patterns. The test takes far less time than a solve.
+///
+/// # Errors
+/// [`FactorizeError::NoRays`] if no ray is valid.
+pub fn check_rays(display: &Display, geometry: &FieldGeometry) -> Result<(), FactorizeError> {
+    let lines = valid_lines(display, geometry, &RayMap::new(display, geometry));
+    if lines.iter().all(|axis| axis.iter().flatten().any(|valid| *valid)) {
+        Ok(())
+    } else {
+        Err(FactorizeError::NoRays)
+    }
+}
+
+/// Returns `[axis][view][pixel]`, x before y: a ray is valid if both its column and its row are. A
+/// valid ray hits every layer, unless the display allows misses. It also hits the grid of lenslets,
+/// if there is one.
+fn valid_lines(display: &Display, geometry: &FieldGeometry, map: &RayMap) -> [Vec<Vec<bool>>; 2] {
+    let drop = display.missing == Missing::Drop;
+    let valid = |view: usize, i: usize, axis: fn(&LayerMap) -> &AxisTaps, lit: &dyn Fn(usize, usize) -> bool| {
+        (!drop || map.layers.iter().all(|layer| !axis(layer).of_view(view)[i].is_missed())) && lit(view, i)
+    };
+    let backlight = map.backlight.as_ref();
+    let lit_x = |view: usize, i: usize| backlight.is_none_or(|b| b.x(view)[i] != BacklightTap::Missed);
+    let lit_y = |view: usize, i: usize| backlight.is_none_or(|b| b.y(view)[i] != BacklightTap::Missed);
+    let [views_y, views_x] = geometry.grid.views();
+    let of_col = |view: usize| (0..geometry.cols).map(|i| valid(view, i, |l| &l.x, &lit_x)).collect();
+    let of_row = |view: usize| (0..geometry.rows).map(|i| valid(view, i, |l| &l.y, &lit_y)).collect();
+    [(0..views_x).map(of_col).collect(), (0..views_y).map(of_row).collect()]
+}
+
 impl Plan {
     /// Builds the tables, and checks the problem.
     pub(crate) fn new(problem: &Problem) -> Result<Self, FactorizeError> {
@@ -103,20 +134,8 @@ impl Plan {
     fn with_map(display: &Display, geometry: &FieldGeometry, map: &RayMap, target: Target) -> Self {
         let views = geometry.grid.views();
         let (rows, cols) = (geometry.rows, geometry.cols);
-        // A ray is valid if it hits every layer (or the display allows misses). It must also hit
-        // the grid of lenslets, if there is one.
-        let drop = display.missing == Missing::Drop;
-        let valid = |view: usize, i: usize, axis: fn(&LayerMap) -> &AxisTaps, lit: &dyn Fn(usize, usize) -> bool| {
-            (!drop || map.layers.iter().all(|layer| !axis(layer).of_view(view)[i].is_missed())) && lit(view, i)
-        };
-        let backlight = map.backlight.as_ref();
-        let lit_x = |view: usize, i: usize| backlight.is_none_or(|b| b.x(view)[i] != BacklightTap::Missed);
-        let lit_y = |view: usize, i: usize| backlight.is_none_or(|b| b.y(view)[i] != BacklightTap::Missed);
-        let runs: Vec<_> = (0..views[1])
-            .map(|view| runs_of(&(0..cols).map(|i| valid(view, i, |l| &l.x, &lit_x)).collect::<Vec<_>>()))
-            .collect();
-        let valid_rows: Vec<Vec<bool>> =
-            (0..views[0]).map(|view| (0..rows).map(|i| valid(view, i, |l| &l.y, &lit_y)).collect()).collect();
+        let [valid_cols, valid_rows] = valid_lines(display, geometry, map);
+        let runs: Vec<_> = valid_cols.iter().map(|valid| runs_of(valid)).collect();
         // Make the map of every layer and of the backlight.
         let frames = display.frames;
         let maps: Vec<_> = raw_maps(display, map, views)

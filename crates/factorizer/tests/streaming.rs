@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use lumistack_core::{Cancel, Collector, Task, Tensor};
-use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Sampling, Weights};
-use lumistack_factorizer::{Problem, Settings, factorize, held_bytes};
+use lumistack_display::{Backlight, Display, FieldGeometry, LensletBacklight, LightField, Sampling, Weights};
+use lumistack_factorizer::{Problem, Settings, factorize, held_bytes, weight_bytes};
 use lumistack_simd::{float_from_half, nearest_half};
 
 /// Counts the bytes that all threads hold.
@@ -92,6 +92,14 @@ fn directional() -> Display {
     Display { brightness: 0.3, backlight: Backlight::Lenslets(backlight), ..display }
 }
 
+/// Returns weights of single rays, from 1 down to 1/997, again and again along the rows.
+fn weights_of_rays(geometry: &FieldGeometry) -> Weights {
+    let [views_y, views_x] = geometry.grid.views();
+    let shape = [views_y, views_x, geometry.rows, geometry.cols];
+    let values = (0..shape.iter().product::<usize>()).map(|i| 1.0 / (1 + i % 997) as f32).collect();
+    Weights::PerRay(Tensor::from_vec(["view_y", "view_x", "row", "col"], shape, values).unwrap())
+}
+
 #[test]
 fn a_solve_holds_no_more_than_is_said_before() {
     // displays that need additional memory for different reasons
@@ -111,13 +119,16 @@ fn a_solve_holds_no_more_than_is_said_before() {
         ("blurred", blurred),
         ("between pixels", Display { sampling: Sampling::Bilinear, ..uniform(5, 2) }),
         ("directional", directional()),
+        ("weighted", uniform(13, 2)),
     ];
     for (name, display) in cases {
         let field = on_disk(&display);
+        let is_weighted = name == "weighted";
+        let weights = if is_weighted { weights_of_rays(field.geometry()) } else { Weights::Uniform };
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let settings = Settings { iterations: 3, ..Settings::default() };
         let solve = |target| {
-            let problem = Problem { display: &display, target, weights: &Weights::Uniform };
+            let problem = Problem { display: &display, target, weights: &weights };
             factorize(&problem, &settings, None, Task::quiet(&warnings, &cancel), &mut |_| {}).unwrap()
         };
         // a target in a file must give the same patterns as the same target in memory
@@ -127,7 +138,8 @@ fn a_solve_holds_no_more_than_is_said_before() {
         let in_memory = LightField::new(field.geometry().clone(), radiance).unwrap();
         assert!(solve(&in_memory) == solved, "{name}: other patterns than from memory");
         // the bound must hold, and must not exceed the held bytes by more than a factor of 4
-        let said = held_bytes(&display, field.geometry(), rayon::current_num_threads());
+        let weighted = if is_weighted { weight_bytes(field.geometry()) } else { 0 };
+        let said = held_bytes(&display, field.geometry(), rayon::current_num_threads()) + weighted;
         assert!(held <= said, "{name}: {held} bytes were held, held_bytes returned {said}");
         assert!(said <= 4 * held, "{name}: held_bytes returned {said}, only {held} bytes were held");
         let whole = 4 * field.radiance().data().len() as u64;

@@ -10,7 +10,7 @@ use crate::problems::{Kind, Owned, display, random};
 use lumistack_factorizer::device::Rule;
 use lumistack_factorizer::device::Updater;
 use lumistack_factorizer::internals::Engine;
-use lumistack_factorizer::{ChannelRun, Factorization, FactorizeError, Settings, factorize};
+use lumistack_factorizer::{ChannelRun, Factorization, FactorizeError, Settings, check_rays, factorize};
 
 /// Tolerance for an exact solution in f32.
 const EXACT: f32 = 1e-6;
@@ -72,9 +72,13 @@ fn no_counted_ray_is_an_error_and_no_figure() {
         let mut beside = display([9, 6], [3, 3], &[-5.0, 0.3, 5.0], 3);
         beside.layers[1].offset_mm = [1000.0, 0.0];
         beside.sampling = sampling;
+        let found = check_rays(&beside, &beside.geometry().unwrap());
+        assert_eq!(found, Err(FactorizeError::NoRays), "found before the solve");
         let error = solve(&Owned::constant(beside, 0.5), &iterations(3), None).unwrap_err();
         assert_eq!(error, FactorizeError::NoRays, "a layer beside the field");
     }
+    let hit = display([9, 6], [3, 3], &[-5.0, 0.3, 5.0], 3);
+    assert_eq!(check_rays(&hit, &hit.geometry().unwrap()), Ok(()));
 }
 
 #[test]

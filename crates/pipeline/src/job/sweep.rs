@@ -27,8 +27,8 @@ pub struct SweepJob {
     /// Gaps between neighbouring layers Δd, millimetres.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub gap_mm: Vec<f64>,
-    /// Fields of view, `[horizontal, vertical]` full angles in degrees; each needs its own light
-    /// field.
+    /// Fields of view of the light field and of a directional backlight, `[horizontal, vertical]`
+    /// full angles in degrees. Each needs its own light field.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub fov_deg: Vec<[f64; 2]>,
     /// Numbers of lenslets, `[columns, rows]`. Displays without a directional backlight do not
@@ -60,8 +60,9 @@ pub struct SearchJob {
     /// Minimum brightness scale β.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min_brightness: Option<f64>,
-    /// Sufficient PSNR, dB. The search proposes the design with the fewest panels and frames that
-    /// reaches this PSNR, instead of the design with the highest PSNR.
+    /// Sufficient score, dB: the zone score, or the PSNR at the target views if there is no zone
+    /// score. The search considers all designs that reach this score. Without this key, or if no
+    /// design reaches it, the search considers all designs within 0.3 dB of the highest score.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub enough_db: Option<f64>,
 }

@@ -19,7 +19,8 @@ use std::time::Instant;
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Backlight, Display, FieldGeometry, ViewGrid};
-use lumistack_factorizer::{held_bytes, paged_bytes};
+use lumistack_factorizer::{held_bytes, paged_bytes, weight_bytes};
+use lumistack_field_io::npy::NpyFile;
 use lumistack_pathtracer::Settings;
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_plugin_host::Registry;
@@ -357,6 +358,13 @@ impl Sizes {
     }
 }
 
+/// Returns true if a job has a weight for every ray: from its expected eyes, or from a file with
+/// four axes.
+fn weighs_rays(job: &Job) -> bool {
+    let of_rays = |path: &PathBuf| NpyFile::open(path).is_ok_and(|file| file.shape().len() == 4);
+    !job.factorize.eyes.is_empty() || job.factorize.weights.as_ref().is_some_and(of_rays)
+}
+
 impl Memory {
     fn of(job: &Job, display: &Display, geometry: &FieldGeometry, others: &[Option<ViewGrid>; 2]) -> Self {
         let (render, threads) = (&job.render, rayon::current_num_threads());
@@ -379,6 +387,8 @@ impl Memory {
             (None, true) => held_bytes(display, geometry, threads) as f64 + wider,
             (None, false) => paged_bytes(display, geometry, threads, window as u64) as f64 + wider / 4.0,
         };
+        // weights of single rays are in memory twice: as the job's array, and as the solver's copy
+        let weighing = if weighs_rays(job) { 4.0 * rays(geometry) + weight_bytes(geometry) as f64 } else { 0.0 };
         let (denoise, shared) = (job.denoise_for(display), SharedLight::BYTES_PER_RAY as f64);
         let denoising = match denoise {
             Denoise::Auto | Denoise::Off => 0.0,
@@ -396,7 +406,7 @@ impl Memory {
         };
         Self {
             fields: of_field(geometry) + others.map(|geometry| of_field(&geometry)).sum::<f64>(),
-            solving,
+            solving: solving + weighing,
             denoising,
             further,
             measuring: if job.scene.is_some() { samples::bytes(job, display, geometry, threads) as f64 } else { 0.0 },
@@ -507,7 +517,7 @@ const PLACE: f64 = 1e5;
 /// The measurement also solves and compares.
 const MEASURED_TIMES: f64 = 1.5;
 /// Time of views that share light and get further paths, divided by the time of the same views
-/// without further paths. Measured factors are between 1.2 and 2.2 (docs/ZONE.md).
+/// without further paths. Measured factors are between 1.3 and 2.4 (docs/ZONE.md).
 const FURTHER_TIMES: f64 = 1.8;
 /// Time of views with sparse paths, divided by the time of the same views with all paths.
 const SPARSE_TIMES: f64 = 0.7;

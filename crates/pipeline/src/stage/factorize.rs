@@ -304,15 +304,17 @@ pub(crate) fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option
     Ok(Some(stack))
 }
 
-/// Checks that weights and warm start have the shapes of the display and its views.
+/// Checks that rays of the views hit the layers, and that weights and warm start have the shapes of
+/// the display and its views.
 ///
 /// # Errors
-/// If a shape differs, or a file cannot be read.
+/// If no ray hits all layers, a shape differs, or a file cannot be read.
 pub(crate) fn check_shapes(
     job: &FactorizeJob,
     display: &Display,
     geometry: &FieldGeometry,
 ) -> Result<(), PipelineError> {
+    lumistack_factorizer::check_rays(display, geometry).map_err(PipelineError::Factorize)?;
     if let Some(path) = &job.weights {
         let file = NpyFile::open(path).map_err(field_error)?;
         let [view_rows, view_cols] = geometry.grid.views();

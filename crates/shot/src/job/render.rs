@@ -53,8 +53,9 @@ pub struct RenderJob {
     /// Number of views per axis between the views of the light field, rendered for the report only;
     /// 0 for none.
     pub held_out: usize,
-    /// Number of views on either side past the outermost ones, one view spacing apart, rendered for
-    /// the report only; 0 for none.
+    /// Number of views left and right of the middle row's outermost views, one view spacing apart.
+    /// If the views have one column, the views are above and below it. They are rendered for the
+    /// report only; 0 for none.
     pub outside: usize,
 }
 

@@ -150,7 +150,7 @@ pub enum WindowFrom {
     /// The camera that the key `camera` names, or the first camera.
     Camera,
     /// The scene's bounds, seen from `look_from`. Without that key they are seen from the front, or
-    /// from another side if the front shows hardly anything.
+    /// from another side that shows clearly more.
     Bounds,
     /// The keys `centre`, `forward`, `up` and `width`.
     Given,
