@@ -94,8 +94,9 @@ def seen(slope):
 errors = []
 for number, direction in enumerate(report["zone"]["directions"]):
     found, counts = seen(direction["slope"])
-    scored = counts >= 0.5
     a, b = picture(number, "a"), picture(number, "b")
+    # pixels that were not rendered are NaN
+    scored = (counts >= 0.5) & ~np.isnan(a[..., 0])
     assert int(scored.sum()) == direction["pixels"], (number, scored.sum(), direction)
     errors.append(((found - a) * (found - b))[scored].mean())
 errors = np.sort(errors)[::-1]

@@ -92,12 +92,13 @@ pub struct DirectionScore {
 
 impl DirectionScore {
     /// Compares a seen picture / β with two renders of the scene's picture, `[row][col][rgb]`,
-    /// whose noise is independent. Without noise, pass the same picture twice.
+    /// whose noise is independent. Without noise, pass the same picture twice. Pixels that were not
+    /// rendered have the value NaN in both renders, and are not scored.
     pub fn new(direction: &ViewGrid, seen: &SeenView, brightness: f64, references: [&[f32]; 2]) -> Self {
         let (mut sum, mut pixels) = (0.0, 0);
         let pictures = references[0].chunks_exact(3).zip(references[1].chunks_exact(3));
         for ((seen, (a, b)), share) in seen.radiance.data().chunks_exact(3).zip(pictures).zip(&seen.share) {
-            if *share >= LEAST_SHARE {
+            if *share >= LEAST_SHARE && !a[0].is_nan() {
                 pixels += 1;
                 for c in 0..3 {
                     let seen = f64::from(seen[c]) / brightness;
@@ -221,6 +222,16 @@ mod tests {
         // standard errors.
         assert!((score.mse - 0.0016).abs() < 4.5e-4, "{}", score.mse);
         assert!((DirectionScore::new(&direction, &seen, 0.2, [&a, &a]).mse - 0.0316).abs() < 1e-3);
+    }
+
+    #[test]
+    fn pixels_that_were_not_rendered_are_not_scored() {
+        let seen =
+            SeenView { radiance: Tensor::filled(["row", "col", "rgb"], [1, 3, 3], 0.1), share: vec![1.0, 1.0, 0.0] };
+        let reference = [0.4, 0.4, 0.4, f32::NAN, f32::NAN, f32::NAN, 0.5, 0.5, 0.5];
+        let direction = ViewGrid::single(Projection::Oblique, [0.0; 2]);
+        let score = DirectionScore::new(&direction, &seen, 0.2, [&reference, &reference]);
+        assert!(score.pixels == 1 && (score.mse - 0.01).abs() < 1e-7, "{score:?}");
     }
 
     #[test]

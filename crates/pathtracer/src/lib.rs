@@ -51,7 +51,7 @@ mod texture;
 mod tracer;
 
 pub use renderer::{Checks, Feature, Features, GuidedSplit, GuidedView, Memory, RenderError, Renderer, SplitView};
-pub use settings::{AngularFilter, Settings, SettingsError};
+pub use settings::{AngularFilter, PixelSet, Settings, SettingsError};
 
 /// Hash of this crate's sources, made at build. It is part of the key of every cached result that
 /// this code contributes to.

@@ -267,14 +267,22 @@ impl Renderer {
         // renders of still-life with 1, 2, 3 and 4 samples take 16, 9, 7 and 6 % less time.
         let most = (BEAM / count[1] as usize).max(1);
         let most = if settings.sparse_paths { whole_groups(most) } else { most };
+        // only plain views leave out pixels
+        let is_rendered = |pixel: &[usize; 2]| FIRST || settings.pixels.contains(*pixel);
         let filled = self.by_groups(geometry, task, ["row", "col", "rgb"], most, |pixels, buffers, filled| {
             let seed = |at| samples.pixel_seed(at);
-            self.pixels::<FIRST>(&samples, pixels, seed, count, settings, &clamped, buffers, |pixel, first| {
-                if pixel.not_finite > 0 {
-                    lost.fetch_add(u64::from(pixel.not_finite), Ordering::Relaxed);
+            for pixels in pixels.chunk_by(|a, b| is_rendered(a) == is_rendered(b)) {
+                if !is_rendered(&pixels[0]) {
+                    filled.resize(filled.len() + pixels.len(), [0.0; K]);
+                    continue;
                 }
-                filled.push(values(pixel, first));
-            });
+                self.pixels::<FIRST>(&samples, pixels, seed, count, settings, &clamped, buffers, |pixel, first| {
+                    if pixel.not_finite > 0 {
+                        lost.fetch_add(u64::from(pixel.not_finite), Ordering::Relaxed);
+                    }
+                    filled.push(values(pixel, first));
+                });
+            }
         })?;
         // report samples that could not be used, and light that was removed
         let lost = lost.into_inner();

@@ -47,6 +47,36 @@ pub struct Settings {
     /// True if primary rays that miss all surfaces see black instead of the environment or the
     /// backdrop. The environment lights the scene in either case. Default false.
     pub hide_environment: bool,
+    /// Pixels that [`render_view`](crate::Renderer::render_view) and
+    /// [`render_misses`](crate::Renderer::render_misses) render; the values of all other pixels
+    /// are 0. Other functions ignore this setting. Default [`PixelSet::All`].
+    pub pixels: PixelSet,
+}
+
+/// Pixels of a view.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PixelSet {
+    /// All pixels.
+    #[default]
+    All,
+    /// One of six sets of pixels, with a number 0..6 (larger numbers modulo 6). Each set is spread
+    /// evenly. The six sets together are all pixels, and have no pixel in common.
+    Sixth(usize),
+}
+
+impl PixelSet {
+    /// Number of sets of the kind [`Sixth`](Self::Sixth).
+    pub const SIXTHS: usize = 6;
+
+    /// Returns true if a pixel [row, column] is in the set.
+    pub fn contains(self, [row, col]: [usize; 2]) -> bool {
+        match self {
+            Self::All => true,
+            // Between successive rows, the columns of a set move by two. So the nearest pixels of
+            // a set are √5 pixels apart.
+            Self::Sixth(number) => (col + 2 * row + number) % Self::SIXTHS == 0,
+        }
+    }
 }
 
 /// Directions that a view averages.
@@ -124,6 +154,7 @@ impl Default for Settings {
             angular_filter: AngularFilter::Point,
             clamp: None,
             hide_environment: false,
+            pixels: PixelSet::All,
         }
     }
 }
@@ -157,6 +188,20 @@ impl Settings {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sixths_divide_the_pixels_evenly() {
+        let number =
+            |at: [usize; 2]| (0..PixelSet::SIXTHS).filter(|n| PixelSet::Sixth(*n).contains(at)).collect::<Vec<_>>();
+        for (row, col) in (0..12).flat_map(|row| (0..12).map(move |col| (row, col))) {
+            let own = number([row, col]);
+            assert!(own.len() == 1 && PixelSet::All.contains([row, col]));
+            // no neighbour, diagonal ones included, is in the same set
+            for (row, col) in [(row, col + 1), (row + 1, col), (row + 1, col + 1), (row + 1, col.wrapping_sub(1))] {
+                assert!(col == usize::MAX || number([row, col]) != own);
+            }
+        }
+    }
 
     #[test]
     fn values_outside_their_range_are_named() {

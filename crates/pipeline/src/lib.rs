@@ -106,7 +106,7 @@ pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file, update_
 pub use stage::denoise::oidn_version;
 pub use stage::ingest::{Ingested, SceneContents, ingest_scene, load_scene, scene_contents};
 pub use stage::place::place_window;
-pub use stage::score::{ReferencePictures, References};
+pub use stage::score::{ReferencePictures, References, keep_missing};
 pub use steps::{
     RenderedField, ReportOn, WeightsFrom, expose_field, factorize_field, open_field, render_field, weights_of,
     write_output, write_report_on,

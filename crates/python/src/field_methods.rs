@@ -6,7 +6,7 @@ use std::sync::Arc;
 use lumistack_core::Tensor;
 use lumistack_display::{FieldGeometry, LightField as Field, Projection, ViewGrid};
 use lumistack_field_io::GeometryFlags;
-use lumistack_pipeline::{PipelineError, ReferencePictures, References, expose_field, open_field};
+use lumistack_pipeline::{PipelineError, ReferencePictures, References, expose_field, keep_missing, open_field};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
@@ -400,7 +400,9 @@ fn exposed_picture(
     let shape = [1, 1, geometry.rows, geometry.cols, 3];
     let radiance = Tensor::from_vec(Field::AXES, shape, picture.to_vec()).expect("references have the shape of views");
     let field = Field::new(geometry, radiance).map_err(PipelineError::Grid)?;
-    Ok(Arc::new(expose_field(&field, exposure_ev, tone)?.radiance().data().to_vec()))
+    let mut exposed = expose_field(&field, exposure_ev, tone)?.radiance().data().to_vec();
+    keep_missing(picture, &mut exposed);
+    Ok(Arc::new(exposed))
 }
 
 /// Returns the result of `__array__`: the array itself, or a copy if the caller requests a copy or

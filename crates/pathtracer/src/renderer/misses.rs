@@ -28,6 +28,9 @@ impl Renderer {
         let samples = self.samples_of(window, geometry, view, settings, rays_of_pixel)?;
         let (quiet, tracer) = (Task { progress: &NoProgress, ..task }, self.tracer());
         let shares = self.by_tiles(geometry, quiet, ["row", "col", "missed"], |row, col, stack| {
+            if !settings.pixels.contains([row, col]) {
+                return [0.0];
+            }
             let mut missed = 0;
             let seed = |at| samples.pixel_seed(at);
             samples.for_each_beam_of(&[[row, col]], seed, [rays_of_pixel; 2], |beam, draws| {

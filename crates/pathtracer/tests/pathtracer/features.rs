@@ -3,7 +3,7 @@
 use crate::common::{Builder, diffuse, glowing, one_view, rectangle, window};
 use glam::{Quat, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task, Tensor};
-use lumistack_pathtracer::{Feature, Features, Settings, SplitView};
+use lumistack_pathtracer::{Feature, Features, PixelSet, Settings, SplitView};
 use lumistack_scene::{AlphaMode, Material};
 
 fn features(builder: &Builder, size: usize, slope: [f64; 2]) -> Features {
@@ -156,6 +156,31 @@ fn misses_include_further_rays() {
             partial += usize::from(*missed > 0.0 && *missed < 1.0);
         }
         assert!(partial > 0);
+    }
+}
+
+/// The rendered pixels of a set have the bits of a whole view, and all other pixels are 0.
+#[test]
+fn sets_of_pixels_are_parts_of_the_view() {
+    let (collector, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&collector, &cancel);
+    let (renderer, geometry) = (mixture().renderer(), one_view(23, [0.2, 0.1]));
+    // with few samples, several pixels share a beam
+    for samples in [1, 5, 12, 40] {
+        let whole = Settings { samples, seed: 7, ..Settings::default() };
+        let light = |settings: &Settings| renderer.render_view(&window(), &geometry, [0, 0], settings, task).unwrap();
+        let missed =
+            |settings: &Settings| renderer.render_misses(&window(), &geometry, [0, 0], settings, task).unwrap();
+        let (all, all_missed) = (light(&whole), missed(&whole));
+        for number in 0..PixelSet::SIXTHS {
+            let part = Settings { pixels: PixelSet::Sixth(number), ..whole };
+            let (some, some_missed) = (light(&part), missed(&part));
+            for at in 0..23 * 23 {
+                let share = if part.pixels.contains([at / 23, at % 23]) { 1.0 } else { 0.0 };
+                assert_eq!(some_missed.data()[at], share * all_missed.data()[at]);
+                assert!((0..3).all(|c| some.data()[3 * at + c] == share * all.data()[3 * at + c]), "{samples} {at}");
+            }
+        }
     }
 }
 

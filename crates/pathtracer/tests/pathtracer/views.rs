@@ -5,7 +5,7 @@ use crate::common::{self, Builder, WINDOW_MM, diffuse, glowing, one_view, rectan
 use glam::{Affine3A, DVec3, Quat, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
-use lumistack_pathtracer::{AngularFilter, RenderError, Renderer, Settings};
+use lumistack_pathtracer::{AngularFilter, PixelSet, RenderError, Renderer, Settings};
 use lumistack_scene::{AlphaMode, Filter, Image, Material, Pixels, Texture, TextureUse, Window, Wrap};
 
 /// Settings with few samples. They suffice, since all samples of a pixel inside a card hit this
@@ -21,6 +21,7 @@ const SAMPLES: Settings = Settings {
     seed: 0,
     angular_filter: AngularFilter::Point,
     clamp: None,
+    pixels: PixelSet::All,
 };
 /// Number of pixels per edge of the test views: the pitch is 1/50 of the window.
 const SIZE: usize = 50;
