@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 
 use crate::groups::{
-    DisplayArgs, FactorizeArgs, FactorizeDisplayArgs, FieldLookArgs, FileArgs, GeometryArgs, ITERATIONS, JobArgs,
-    RenderArgs,
+    DENOISERS, DisplayArgs, FactorizeArgs, FactorizeDisplayArgs, FieldLookArgs, FileArgs, GeometryArgs, ITERATIONS,
+    JobArgs, RenderArgs,
 };
 use crate::values::Numbers;
 
@@ -198,6 +198,7 @@ pub(crate) struct Run {
 }
 
 #[derive(Debug, ClapArgs)]
+#[command(mut_arg("denoise", |arg| arg.help(format!("{DENOISERS}. Auto means shared if the number of views is automatic, Lumistack's path tracer renders the views, and --only-views is absent; otherwise off"))))]
 pub(crate) struct Render {
     /// Job file (.toml) or scene: .gltf, .glb, USD, .blend, .obj, splats (.ply, .spz, .sog), or a
     /// file of another importer plugin
@@ -335,11 +336,12 @@ pub(crate) struct Info {
     pub(crate) look_from: Option<Numbers<2>>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
-    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing in
-    /// two cases: if the scene fits; if the depth of field does not lie on both sides of the
-    /// display. Otherwise auto moves the window, unless numbers in the job or a focus distance of
-    /// the camera place the window. If the scene still does not fit, auto compresses depth, unless
-    /// a depth scale is given. `--fit-depth` without HOW means move [default: auto]
+    /// compress, depth is also compressed if the scene still does not fit. Auto acts as compress,
+    /// with these exceptions: (1) Nothing changes if the scene fits, or if the depth of field does
+    /// not lie on both sides of the display plane. (2) The window stays if the job has
+    /// `window.from = "given"`, or if the job or the camera states a focus distance. (3) Depth is
+    /// not compressed if a depth scale other than 1 is set. Without this option, HOW is auto;
+    /// `--fit-depth` alone means move
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

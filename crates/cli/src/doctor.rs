@@ -12,7 +12,7 @@ use serde_json::json;
 use crate::console::say;
 use crate::program;
 
-pub(crate) const EXAMPLES: &str = "The listed software, graphics processors and panels are optional: without them the program still turns a glTF scene into patterns, pictures and a web page.\n\n\
+pub(crate) const EXAMPLES: &str = "OpenUSD, Blender, Open Image Denoise, graphics processors and panels are optional. Without them, the program still turns glTF scenes into patterns, pictures and web pages.\n\n\
     Examples:\n  lumistack doctor\n  lumistack --json doctor      prints the same as one JSON object";
 
 /// Memory or disk space that a run of the paper's size may need, MiB.

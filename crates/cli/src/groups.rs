@@ -36,6 +36,9 @@ pub(crate) struct DisplayArgs {
     pub(crate) brightness: Option<f64>,
 }
 
+/// Help of `--denoise`, without the meaning of `auto`.
+pub(crate) const DENOISERS: &str = "Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, the diffuse light of each surface point is averaged over the views that see the point, and reflections of rough surfaces over neighbouring views. With guided, Lumistack's filter works on all views together. With oidn, the program Open Image Denoise filters each view; you must install this program";
+
 /// Changes to rendering.
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Rendering")]
@@ -62,13 +65,7 @@ pub(crate) struct RenderArgs {
     /// background and the light that surfaces emit are visible [default: 6]
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
-    /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, the
-    /// diffuse light of each surface point is averaged over the views that see the point, and
-    /// reflections of rough surfaces over neighbouring views. With guided, Lumistack's filter works
-    /// on all views together. With oidn, the program Open Image Denoise filters each view; you must
-    /// install this program. Auto means shared if the number of views is automatic and Lumistack's
-    /// path tracer renders the views, otherwise off
-    #[arg(long, value_name = "KIND")]
+    #[arg(long, value_name = "KIND", help = format!("{DENOISERS}. Auto means shared if the number of views is automatic and Lumistack's path tracer renders the views, otherwise off"))]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
     /// Camera that sees the scene, by its name or its number from 0. If the camera has a plane of
     /// focus, this plane becomes the display plane
@@ -80,10 +77,10 @@ pub(crate) struct RenderArgs {
     /// side if that side shows much more
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
-    /// Hide content that is farther in front of the window than this distance: auto, off, or a
-    /// number of scene units. If a camera determines the window, auto takes the camera's near
-    /// plane. If numbers in the job determine the window, auto takes the distance at which the
-    /// display shows hardly any detail. Otherwise auto hides nothing
+    /// Hide content that is farther in front of the window (the display's place in the scene) than
+    /// this distance: auto, off, or a number of scene units. If a camera determines the window,
+    /// auto takes the camera's near plane. If the job has `window.from = "given"`, auto takes the
+    /// distance at which the display shows hardly any detail. Otherwise auto hides nothing
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
     /// Show light sources that have a surface, such as area lights, in the views [default: as the
@@ -138,11 +135,12 @@ pub(crate) struct RenderArgs {
     pub(crate) tone: Option<String>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
-    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing in
-    /// three cases: in a sweep; if the scene fits; if the depth of field does not lie on both sides
-    /// of the display. Otherwise auto moves the window, unless numbers in the job or a focus
-    /// distance of the camera place the window. If the scene still does not fit, auto compresses
-    /// depth, unless a depth scale is given. `--fit-depth` without HOW means move [default: auto]
+    /// compress, depth is also compressed if the scene still does not fit. Auto acts as compress,
+    /// with these exceptions: (1) Nothing changes in a sweep, if the scene fits, or if the depth of
+    /// field does not lie on both sides of the display plane. (2) The window stays if the job has
+    /// `window.from = "given"`, or if the job or the camera states a focus distance. (3) Depth is
+    /// not compressed if a depth scale other than 1 is set. Without this option, HOW is auto;
+    /// `--fit-depth` alone means move
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor that multiplies the parallax between views, and so the visible depth

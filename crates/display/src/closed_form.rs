@@ -2,8 +2,9 @@
 //! assumptions about a display.
 //!
 //! Directions are slopes (the paper's d_r is 1). A layer of pitch p has the highest frequency ω0 =
-//! 1/(2p), and neighbouring layers are Δd apart. Lenslets have pitch Δx. Each of their A angular
-//! bins, over the angle α, has the width Δs = (2/A) tan(α/2). The depth is z.
+//! 1/(2p), and neighbouring layers are Δd apart. Lenslets have pitch Δx. The A angular bins of a
+//! lenslet together span the angle α; each bin has the width Δs = (2/A) tan(α/2) in slope. The
+//! depth is z.
 //!
 //! ```text
 //! (23) lens array               1/(2Δx)          if |z| ≤ Δx/Δs,                  else 1/(2|z|Δs)

@@ -108,8 +108,9 @@ impl Tables {
         at as u32
     }
 
-    /// Appends a table of offsets, then one list for each view and each line (or column) of a
-    /// factor. Each list contains the rays that read its line, with their weights.
+    /// Appends a table of offsets, then one list for each view row (or view column) and each line
+    /// (or column) of a factor. The list contains the field rows (or field columns) that read this
+    /// line (or column), with their interpolation weights.
     fn readers(&mut self, views: usize, places: usize, taps: impl Fn(usize) -> Vec<(usize, Tap)>) -> u32 {
         let at = self.words.len();
         self.words.resize(at + views * (places + 1), 0);

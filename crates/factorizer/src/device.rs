@@ -148,7 +148,8 @@ pub trait Updater {
     fn objective_after(&self, n: usize, outcome: Outcome) -> Option<Objective> {
         let (plan, map) = (self.plan(), &self.plan().maps[n]);
         let stored_is_read = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());
-        // in a tile with fixed pixels, some rays read a pixel that made no step
+        // The outcome is exact only if the update steps the pixel of every ray. Fixed pixels of a
+        // tile make no step; `sees_all_rays` excludes tiles with such pixels.
         let exact = plan.is_product() && map.nearest && plan.sees_all_rays(n) && stored_is_read;
         // a remainder much smaller than the error is only rounding
         let left = outcome.error - outcome.gain;

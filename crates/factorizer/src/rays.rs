@@ -118,7 +118,8 @@ impl<const K: usize> RowsOfView<'_, K> {
     }
 }
 
-/// The rays through one line. All lists have the views in the same order.
+/// The rays through one line. The lists with entries per view (`views`, `targets`, `others`, `own`,
+/// `fractions`) use the same order of views.
 #[derive(Default)]
 pub(crate) struct LineRays<'a> {
     pub(crate) views: Vec<View<'a>>,

@@ -56,12 +56,14 @@ impl StartKind {
         }
     }
 
-    /// Returns one sentence that helps users choose.
+    /// Returns a text that helps users choose.
     pub fn doc(self) -> &'static str {
         match self {
             Self::Random => "Independent uniform noise.",
             Self::Smooth => "Noise that is blurred, so that neighbouring rays read nearly the same values.",
-            Self::Content => "One level per pixel, from the mean target of the pixel's rays, times smooth noise.",
+            Self::Content => {
+                "Every pixel gets one value in all frames, derived from the mean target of its rays. Smooth noise, different in each frame, multiplies this value."
+            }
         }
     }
 }

@@ -122,9 +122,10 @@ fn adopt(
         document.task.warn(place, format!("{found}; node {node} stays a child of node {parent}"));
         return false;
     }
-    document
-        .task
-        .warn(place, format!("{found}, which the scene does not show; node {node} is shown without its parent"));
+    document.task.warn(
+        place,
+        format!("{found}; the scene does not show node {parent}, so node {node} is shown without its parent"),
+    );
     parents[node] = None;
     true
 }

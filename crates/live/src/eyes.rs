@@ -83,8 +83,9 @@ impl Boxes {
         Ok(Rays::Eyes(Box::new(EyeViews { display, field, weights })))
     }
 
-    /// Returns the views from the viewers' eyes, and the weights of the views. A grid is separable,
-    /// so it also has views in the columns of one viewer and the row of another; their weight is 0.
+    /// Returns two views per eye, `sigma_mm` to its left and right, and the weights of all views. A
+    /// grid is separable, so it also has views in the columns of one viewer and the row of another;
+    /// their weight is 0.
     fn grid(&self, own: Projection, sigma_mm: f64) -> (ViewGrid, Weights) {
         let half_mm = match self.eyes {
             Eyes::Two => 0.5 * BETWEEN_EYES_MM,

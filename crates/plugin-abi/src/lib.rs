@@ -25,9 +25,9 @@
 //! ```
 //!
 //! Rules for both sides:
-//! * Every struct begins with its size in bytes ([`Descriptor`] begins with the version numbers).
-//!   A side that reads a struct of the other side reads at most that size. A caller that requests
-//!   a filled struct sets its `size` first.
+//! * Every struct that may grow begins with its size in bytes; [`Descriptor`] begins with the
+//!   version numbers, then its size. A side that reads such a struct of the other side reads at
+//!   most that size. A caller that requests a filled struct sets its `size` first.
 //! * Text is UTF-8, never null-terminated. JSON may gain keys; readers ignore unknown keys.
 //! * Lent data are valid until the call returns, unless their documentation says otherwise. No side
 //!   frees the other's memory: the call's [`ErrorSink`] copies error texts, and planes have a

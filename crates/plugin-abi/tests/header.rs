@@ -29,9 +29,9 @@ const TOP: &str = "\
  *
  *     const LumistackDescriptor *lumistack_plugin_entry_ID(void);
  *
- * A struct starts with its own size in bytes (a descriptor with its version) and grows only at its end. Set
- * `size` of your structs to their `sizeof`, and read at most `size` bytes of the other side's structs. Texts
- * are UTF-8 with a length, never null-terminated.
+ * A struct that may grow starts with its own size in bytes (a descriptor: with its version, then its size), and
+ * grows only at its end. Set `size` of your structs to their `sizeof`, and read at most `size` bytes of the other
+ * side's structs. Texts are UTF-8 with a length, never null-terminated.
  * Nothing may unwind into the caller. docs/PLUGINS.md shows a whole plugin.
  */";
 

@@ -78,7 +78,8 @@ def test_the_window_is_the_camera_frustum_at_its_focus() -> None:
     matrix = [[0.0, -2.0, 0.0, 1.0], [2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 5.0], [0.0, 0.0, 0.0, 1.0]]
     window = window_of_camera(matrix, frame, False, 4.0, (400.0, 250.0))
     assert window.scale * 400.0 == pytest.approx(4.0)
-    # The middle of the shifted picture is 0.1 to the camera's right, which is the scene's +y.
+    # At focus distance 4, the centre of the shifted frame is 4 * 0.1 to the camera's right, which
+    # is the scene's +y.
     assert window.centre == pytest.approx((1.0, 0.4, 1.0))
     flat = window_of_camera(matrix, frame, True, 4.0, (400.0, 250.0))
     assert flat.scale * 400.0 == pytest.approx(1.0)
@@ -383,7 +384,8 @@ def test_words_become_settings() -> None:
     asked = command_line.parse(["--window-size", "0.5", "--handover", "both", "--renderer", "lumistack"])
     assert asked.settings == {"window_size": 0.5, "handover": "BOTH", "renderer": "LUMISTACK"}
     assert command_line.parse(["--quality", "draft", "--views", "half", "--no-score"]).settings == {"quality": "DRAFT", "views_from": "HALF", "use_score": False}
-    # --distance-mm is the distance of eyes, so it selects the perspective grid.
+    # --distance-mm is the viewer's distance from the display. Only the perspective grid has this
+    # distance, so the option selects that grid.
     for words in (["--distance-mm", "500"], ["--distance-mm", "500", "--grid", "perspective"]):
         assert command_line.parse(words).settings == {"distance_mm": 500.0, "grid": "PERSPECTIVE"}
     for grid in ("oblique", "display"):

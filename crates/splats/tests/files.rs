@@ -287,7 +287,8 @@ fn broken_files_are_refused_with_their_place() {
     refused(&with("vertex 40", "vertex 99999999999999999999"), "a count of elements");
     refused(&with("vertex 40", "vertex 4000000000"), "rows of 104 bytes");
     refused(&with("binary_little_endian", "ascii"), "binary_little_endian");
-    refused(&with("f_dc_0", "red"), "which every .ply of splats has");
+    refused(&with("f_dc_0", "red"), "which this form of splat file requires (a mesh or a point cloud lacks it)");
+    refused(&with("rot_3", "other"), "a property rot_3, which this form of splat file requires, found");
     refused(&with("f_rest_8", "other"), "f_rest_N");
     refused(&with("float x", "list uchar int x"), "no lists");
     let spz = write::spz(&original).unwrap();

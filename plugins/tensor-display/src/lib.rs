@@ -55,7 +55,7 @@ impl NodePlugin for TensorDisplay {
             Param::choice(
                 "solver",
                 &defaults.solver,
-                auto("The best solver known.").chain(solvers().iter().map(|solver| (solver.name(), solver.doc()))),
+                auto("The solver `extrapolated`.").chain(solvers().iter().map(|solver| (solver.name(), solver.doc()))),
                 "Algorithm that finds the masks.",
             ),
             Param::int("iterations", defaults.iterations.into(), 0..=most, "Iterations; each updates every layer, and a directional backlight.").unit("1"),

@@ -89,9 +89,9 @@ fn numbered_and_hci_views_go_from_the_top_left() {
         warnings.iter().any(|w| w.contains("the cameras of the views were spread over 0.9° × 0.6°")),
         "{warnings:?}"
     );
-    // Without a default angle, the slopes follow from the cameras: they are 50 mm apart, at a
-    // distance of 10 m. The viewing distance is the light field's width · focal length / sensor
-    // width.
+    // Without a default angle, a view's slope is its camera's offset from the centre divided by the
+    // focus distance: the steps are 50 mm / 10 m. The viewing distance is the light field's width ·
+    // focal length / sensor width.
     let own = GeometryDefaults { width_mm: Some(350.0), fov_deg: None };
     let field = open(folder.path(), &GeometryFlags::default(), &own).0.unwrap();
     let grid = &field.geometry().grid;

@@ -530,7 +530,7 @@ fn scenes_that_list_children_are_shown() {
     assert_eq!(corner(&under(json!([0, 1]))), (vec![3.0], vec![format!("/scenes/0/nodes/0: {shown_there}")]));
     assert_eq!(corner(&under(json!([1, 0]))), (vec![3.0], vec![format!("/scenes/0/nodes/1: {shown_there}")]));
     let alone =
-        format!("/scenes/0/nodes/0: {child}, which the scene does not show; node 0 is shown without its parent");
+        format!("/scenes/0/nodes/0: {child}; the scene does not show node 1, so node 0 is shown without its parent");
     assert_eq!(corner(&under(json!([0]))), (vec![0.0], vec![alone]));
     let again = "/scenes/0/nodes/1: expected every node once, found node 1 again; the node is shown once";
     assert_eq!(corner(&under(json!([1, 1]))), (vec![3.0], vec![again.into()]));

@@ -209,8 +209,8 @@ fn masked_and_blended_surfaces_let_light_through() {
     assert!((image.get([6, 6, 0]) - (alpha + (1.0 - alpha) * 0.5)).abs() < 1.0 / 256.0, "{}", image.get([6, 6, 0]));
 }
 
-/// Several blended surfaces in front of each other decide independently whether they are there. So
-/// a pixel's noise vanishes with more samples.
+/// At each blended surface, a ray draws an independent random number, which decides whether the ray
+/// hits the surface. Therefore a pixel's mean converges to the alpha-composited colour.
 #[test]
 fn layers_of_blended_surfaces_converge() {
     let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 2.0, Vec3::Z);

@@ -58,7 +58,7 @@ pub(crate) fn open(
     checked.map_err(host_error)
 }
 
-/// Returns the outputs that failed. Their paths begin with `prefix`.
+/// Returns the failed outputs. The function puts `prefix` before each path.
 pub(crate) fn failed(outputs: &[Output], prefix: &Path) -> Vec<FailedOutput> {
     let failed =
         outputs.iter().filter_map(|output| Some((output.path.trim_start_matches("../"), output.failed.clone()?)));

@@ -44,13 +44,18 @@ impl Samples {
         let share = 100.0 * self.noise / f64::from(self.per_view) / self.error.max(LEAST_ERROR);
         let limit = if self.limited {
             format!(
-                "; a view has at most {} paths per pixel, and all views together at most {MOST_PATHS}",
+                "; more paths would exceed the limit of {} per pixel and view, or of {MOST_PATHS} per pixel over all views",
                 CHOICES[CHOICES.len() - 1]
             )
         } else {
             String::new()
         };
-        format!("noise adds about {share:.1} % to the display's own squared error{limit}")
+        let base = if self.error < LEAST_ERROR {
+            "the squared error at 50 dB (the display's own error is smaller)"
+        } else {
+            "the display's own squared error"
+        };
+        format!("noise adds about {share:.1} % to {base}{limit}")
     }
 }
 

@@ -175,7 +175,8 @@ pub(crate) fn display_from_json(text: &str) -> Result<Display, PluginError> {
     Ok(display)
 }
 
-/// Removes `key` from the object at the end of `path`, if it exists.
+/// Removes `key` from its object. `path` leads to this object, or to the key itself. Returns false
+/// if there is no such key.
 fn remove_key(json: &mut Value, path: &Path, key: &str) -> bool {
     let mut place = json;
     for segment in path {

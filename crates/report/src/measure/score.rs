@@ -116,8 +116,8 @@ pub(crate) fn counting(
     emitted.valid.iter().enumerate().map(|(i, valid)| *valid && weight(i) > 0.0).collect()
 }
 
-/// Returns L̃/β. A ray that scores exclude gets the target's value, so that it adds neither error
-/// nor edges.
+/// Returns L̃/β. A ray that is excluded from the scores gets the target's value, so it adds neither
+/// error nor edges.
 pub(super) fn seen(emitted: &EmittedView, target: &[f32], brightness: f64, counts: &[bool]) -> Vec<f32> {
     let scale = (1.0 / brightness) as f32;
     let pixels = emitted.radiance.data().chunks_exact(3).zip(target.chunks_exact(3)).zip(counts);

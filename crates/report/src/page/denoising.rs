@@ -38,7 +38,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
             div class="compare three group" {
                 (figure(&before, "The central view as rendered", "As rendered, unbiased"))
                 (figure(&after, "The central view filtered", "Filtered"))
-                (figure(&taken, "Change by the filter", &format!("Filtered − as rendered, × {gain}: structure other than noise is detail that the filter removed")))
+                (figure(&taken, "Change by the filter", &format!("Filtered picture minus rendered picture, multiplied by {gain}. Any shape of the scene in this picture is detail that the filter removed")))
             }
             (legend(&DIVERGING, &[format!("≤ −{end} darker than rendered"), "0".into(), format!("≥ +{end} brighter")]))
             details {

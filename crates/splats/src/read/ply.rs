@@ -112,8 +112,9 @@ impl<'a> Element<'a> {
     fn column(&self, name: &str) -> Result<Column<'a>, ReadError> {
         self.find(name).ok_or_else(|| {
             let names: Vec<&str> = self.properties.iter().map(|property| property.name.as_str()).take(20).collect();
-            let expected =
-                format!("a property {name}, which every .ply of splats has (a mesh or a point cloud lacks it)");
+            // A mesh or a point cloud has x, y and z, so the first property that it lacks is f_dc_0.
+            let hint = if name == "f_dc_0" { " (a mesh or a point cloud lacks it)" } else { "" };
+            let expected = format!("a property {name}, which this form of splat file requires{hint}");
             ReadError::new(format!("element {}", self.name), expected, names.join(" "))
         })
     }

@@ -152,7 +152,8 @@ impl Refinement {
                 }
             }
         }
-        // Mark the faces that are holes. They affect their neighbours, and are left out at the end.
+        // Mark holes: the mesh's holes, and faces at the boundary under the rule `Boundary::None`.
+        // They affect their neighbours, and are left out at the end.
         let mut sources: Vec<Option<u32>> = polygons.sources.into_iter().map(Some).collect();
         let holes: HashSet<u32> = cage.hole_indices.iter().filter_map(|&face| u32::try_from(face).ok()).collect();
         for (face, source) in (0..).zip(&mut sources) {
@@ -182,8 +183,8 @@ impl Refinement {
         (0..self.finest.face_count() as u32).filter(|&face| self.sources[face as usize].is_some())
     }
 
-    /// Returns, for each refined face, the index of the input's face that contains it, and the
-    /// refined face's vertices.
+    /// Returns, for each refined face outside of holes, the index of the input's face that contains
+    /// it, and the refined face's vertices.
     pub(crate) fn faces(&self) -> impl Iterator<Item = (u32, &[u32])> {
         self.shown().filter_map(|face| Some((self.sources[face as usize]?, self.finest.face_vertices(face))))
     }
