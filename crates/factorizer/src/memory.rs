@@ -24,8 +24,8 @@ const SMALL: u64 = 1 << 20;
 /// * tables, and the buffers of each thread.
 ///
 /// The bound does not include weights ([`weight_bytes`]), nor the caller's own target, which may be
-/// in a mapped file. The bound assumes that half floats hold the target's values exactly. Otherwise the target
-/// is kept in f32, and takes twice the memory.
+/// in a mapped file. The bound assumes that half floats hold the target's values exactly. Otherwise
+/// the target is kept in f32, and takes twice the memory.
 pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
     4 * target_bytes(geometry) / 3 + bytes_beside_target(display, geometry, threads)
 }
@@ -52,8 +52,8 @@ pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, 
         + bytes_beside_target(display, geometry, threads as usize)
 }
 
-/// Returns an upper bound of the bytes that the factorizer holds for weights of single rays, at full
-/// resolution and at the coarser levels. The caller's own weights are not included.
+/// Returns an upper bound of the bytes that the factorizer holds for weights of single rays, at
+/// full resolution and at the coarser levels. The caller's own weights are not included.
 pub fn weight_bytes(geometry: &FieldGeometry) -> u64 {
     // weights are single floats, and the target has three half floats per ray
     4 * (2 * target_bytes(geometry) / 3) / 3

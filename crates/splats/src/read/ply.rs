@@ -112,7 +112,7 @@ impl<'a> Element<'a> {
     fn column(&self, name: &str) -> Result<Column<'a>, ReadError> {
         self.find(name).ok_or_else(|| {
             let names: Vec<&str> = self.properties.iter().map(|property| property.name.as_str()).take(20).collect();
-            // A mesh or a point cloud has x, y and z, so the first property that it lacks is f_dc_0.
+            // a mesh or a point cloud has x, y and z, so f_dc_0 is the first property that it lacks
             let hint = if name == "f_dc_0" { " (a mesh or a point cloud lacks it)" } else { "" };
             let expected = format!("a property {name}, which this form of splat file requires{hint}");
             ReadError::new(format!("element {}", self.name), expected, names.join(" "))
