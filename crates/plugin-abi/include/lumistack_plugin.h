@@ -4,9 +4,9 @@
  *
  *     const LumistackDescriptor *lumistack_plugin_entry_ID(void);
  *
- * A struct starts with its own size in bytes (a descriptor with its version) and grows only at its end. Set
- * `size` of your structs to their `sizeof`, and read at most `size` bytes of the other side's structs. Texts
- * are UTF-8 with a length, never null-terminated.
+ * A struct that may grow starts with its own size in bytes (a descriptor: with its version, then its size), and
+ * grows only at its end. Set `size` of your structs to their `sizeof`, and read at most `size` bytes of the other
+ * side's structs. Texts are UTF-8 with a length, never null-terminated.
  * Nothing may unwind into the caller. docs/PLUGINS.md shows a whole plugin.
  */
 
@@ -265,8 +265,9 @@ typedef struct LumistackPlane {
 } LumistackPlane;
 
 /**
- * Data of a time step, lent until `submit` or `make` returns. Functions that do not fit `port`
- * return `Status::REFUSED`. Several threads may call the functions in parallel.
+ * Data of a time step, lent until `submit` or `make` returns. A function returns
+ * `Status::REFUSED` if the data do not contain its plane. Several threads may call the functions
+ * in parallel.
  */
 typedef struct LumistackData {
   /**
@@ -685,9 +686,9 @@ typedef struct LumistackStackSink {
    *
    * * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
    *   solved first.
-   * * `kkt_residual`: if one value of the patterns had one more exact update, the emission would
-   *   change. The residual is the root mean square of this change over all values of the
-   *   patterns.
+   * * `kkt_residual`: an exact update of a single value of the patterns would change the emitted
+   *   light field. The residual is the root mean square of these changes, over all values that
+   *   may change.
    * * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
    *   bits, or null.
    */
