@@ -164,7 +164,7 @@ pub(crate) fn schema() -> Schema {
         Param::bool(
             "stanford",
             false,
-            "Write the folder stanford/ in the format of the Stanford archive: out_RR_CC_Y_X.png, with the view's row RR and column CC, and the camera's centre in millimetres, X right, Y down.",
+            "Write the folder stanford/ in the format of the Stanford archive. The name of a picture is out_RR_CC_Y_X.png. RR and CC are the view's row and column. X and Y are the camera's centre in millimetres, X right, Y down.",
         ),
         Param::float(
             "camera_distance_mm",

@@ -69,7 +69,7 @@ impl NodePlugin for TensorDisplay {
                 "coarse_levels",
                 -1,
                 -1..=most,
-                "Number of coarser resolutions that are solved first, each half of the next finer resolution; the display's size limits this number, and a warm start has none. -1 uses the solver's default.",
+                "Number of coarser resolutions that are solved first, each half of the next finer resolution. The display's size limits this number, and a warm start has none. -1 uses the solver's default.",
             )
             .unit("1"),
             Param::int("coarse_iterations", defaults.coarse_iterations.into(), 0..=most, "Iterations at each coarser resolution.")
