@@ -62,7 +62,7 @@ fn displays_without_rays() {
     let layer = "[[layers]]\nresolution = [20, 12]\npitch_mm = 1.0\n";
     let text = format!(
         "name = \"aside\"\nframes = 2\n[field]\nresolution = [20, 12]\npitch_mm = 1.0\nfov_deg = [20, 20]\n\
-         {layer}d_mm = 10\n{layer}d_mm = -10\noffset_mm = [500, 0]\n"
+         {layer}d_mm = -10\n{layer}d_mm = 10\noffset_mm = [500, 0]\n"
     );
     std::fs::write(&display, text).unwrap();
     let scene = root().join("scenes/still-life/still-life.gltf");

@@ -314,7 +314,9 @@ pub(crate) fn check_shapes(
     display: &Display,
     geometry: &FieldGeometry,
 ) -> Result<(), PipelineError> {
-    lumistack_factorizer::check_rays(display, geometry).map_err(PipelineError::Factorize)?;
+    let expected = "at least one ray of the views that hits all layers (and the grid of lenslets, if there is one)";
+    lumistack_factorizer::check_rays(display, geometry)
+        .map_err(|_| PipelineError::job("display.layers", expected, "none"))?;
     if let Some(path) = &job.weights {
         let file = NpyFile::open(path).map_err(field_error)?;
         let [view_rows, view_cols] = geometry.grid.views();
