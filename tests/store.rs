@@ -187,7 +187,7 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
         (&quilt(9), "views = [9, 1]"),
         (
             "[[outputs]]\nplugin = \"images\"\nfrom = \"light_field\"\nparams = { atlas = true, png8 = false }\n",
-            "a light field has",
+            "a light field lacks",
         ),
     ] {
         let path = folder.path().join("scene.toml");
