@@ -6,9 +6,9 @@
 
 The session starts `lumistack live`, or attaches to one that runs.
 Handlers only record that the scene has changed. A timer exports the scene, since an export in a
-handler would call the handler again. Every export writes the whole scene. The next export waits
-until a state shows the last export, but at most `PATIENCE_S`. A rest after every export limits
-exports to a third of Blender's time.
+handler would call the handler again. Every export writes the whole scene. A rest after every export
+limits exports to a third of Blender's time. After this rest, the next export waits until a state
+shows the last export, but at most `PATIENCE_S`.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from . import jobs, operators, overlay, settings as settings_of
 
 #: Interval of the timer, seconds.
 TICK_S = 0.05
-#: Longest wait for a state that shows the last export, seconds. If the scene cannot be shown, this
-#: state never arrives.
+#: Longest wait for a state that shows the last export, seconds after the rest. If the scene cannot
+#: be shown, this state never arrives.
 PATIENCE_S = 2.0
 #: Wait after an error, such as a missing camera, before the next attempt, seconds.
 RETRY_S = 0.5

@@ -188,13 +188,14 @@ def settings(scene, ours, threads):
     cycles.use_denoising = False
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = 1.0
-    # do not clamp or blur, and trace as many bounces as Lumistack
+    # do not clamp or blur
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.blur_glossy = 0.0
     cycles.caustics_reflective = cycles.caustics_refractive = True
     cycles.light_sampling_threshold = 0.0
+    # Cycles does not count the bounce at the first hit, so its limit is one less than Lumistack's.
     for kind in ["max", "diffuse", "glossy", "transmission"]:
-        setattr(cycles, kind + "_bounces", ours["max_bounces"])
+        setattr(cycles, kind + "_bounces", ours["max_bounces"] - 1)
     cycles.transparent_max_bounces = 256
 
 

@@ -146,7 +146,9 @@ pub fn check() -> Outcome {
         if now != committed {
             let (now, committed) = (now.unwrap_or("none"), committed.unwrap_or("none"));
             let remedy = "run `cargo xtask web`, and commit the files in web/dist";
-            return Err(format!("web: {DIST}: expected {committed}, the hash of {what}, found {now}; {remedy}"));
+            return Err(format!(
+                "web: {HASH}: expected {now}, the present hash of {what}, found {committed}; {remedy}"
+            ));
         }
     }
     measure()?;

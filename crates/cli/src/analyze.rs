@@ -45,15 +45,17 @@ pub(crate) struct Analyze {
     run: Option<PathBuf>,
     #[command(flatten)]
     files: FileArgs,
-    /// Largest distance from the display plane at which the bound is computed and plotted,
-    /// millimetres. The default is at least 20 mm, and large enough for the layers, the lens
-    /// array, the scene and the depth of field, each with a margin
+    /// Largest distance from the display plane at which the display's highest spatial frequency is
+    /// computed and plotted, millimetres. The default is at least 20 mm, and large enough for the
+    /// layers, the lens array, the scene and the depth of field, each with a margin
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Also compute patterns of every display for gratings (stripes of one frequency) at many
-    /// depths and frequencies, which takes up to a minute per display. Three contrasts of each
-    /// shown grating are reported. The first is measured at the solver's views, the second over the
-    /// whole viewing zone. The third is measured over the whole zone after a solve for more views
+    /// depths and frequencies, which takes up to a minute per display. For some depths, the command
+    /// prints the highest frequency at which a grating keeps half of its contrast. The contrast is
+    /// measured in three ways. Two are over the whole viewing zone: after a solve for more views,
+    /// and after a solve for the display's own views. The third is at the display's own views
+    /// alone. With --json, the command prints the three contrasts of every grating instead
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG

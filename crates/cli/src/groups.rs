@@ -136,11 +136,11 @@ pub(crate) struct RenderArgs {
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
     /// compress, depth is also compressed if the scene still does not fit. Auto acts as compress,
-    /// with three exceptions. Nothing changes in a sweep, if the scene fits, or if the depth of
-    /// field does not lie on both sides of the display plane. The window stays if the job has
-    /// `window.from = "given"`, or if the job or the camera states a focus distance. Depth is not
-    /// compressed if a depth scale other than 1 is set. Without this option, HOW is auto;
-    /// `--fit-depth` alone means move
+    /// with these exceptions. In a sweep, auto changes nothing. Auto also changes nothing if the
+    /// scene fits, or if the depth of field does not lie on both sides of the display plane. Auto
+    /// does not move the window if the job has `window.from = "given"`, or if the job or the camera
+    /// states a focus distance. Auto does not compress depth if a depth scale other than 1 is set.
+    /// Without this option, HOW is auto; `--fit-depth` alone means move
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor that multiplies the parallax between views, and so the visible depth

@@ -15,8 +15,9 @@ use crate::values::{Angles, Size};
 
 pub(crate) const EXAMPLES: &str = "\
 An axis is a property of the display with several values, such as --layers 1..5. Every combination of \
-values is a design. A property without values keeps the display's value. A LIST has numbers and ranges, \
-separated by commas: 1..5 or 1,2,4..8. A range may have a step: 0.1..1:0.1.
+values is a design. A property without values keeps the display's value. The lists of --layers, --frames, \
+--brightness and --gap-mm have numbers and ranges, separated by commas: 1..5 or 1,2,4..8. A range may have \
+a step: 0.1..1:0.1.
 
 The results are sweep.csv, sweep.json and plots in the folder of --output. If a sweep was stopped or killed, \
 the same command continues it.

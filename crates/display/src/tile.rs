@@ -57,8 +57,8 @@ pub struct Tile {
 #[derive(Clone, Debug)]
 pub struct Tiling {
     map: RayMap,
-    /// For x and for y: the tiles along the axis, and the number of pixels of every layer and of
-    /// the lenslets.
+    /// For x and for y: the tiles along the axis; then, in a second list, the number of pixels of
+    /// each layer and the number of lenslets.
     axes: [(Vec<AxisTile>, Vec<usize>); 2],
 }
 

@@ -106,11 +106,12 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         }
                     }
                     // In layers that rotate polarization, the Gram matrix does not bound the
-                    // curvature. With `local`, add a bound of the rest of the curvature to the
-                    // diagonal, otherwise a bound of the whole curvature.
+                    // curvature. With `local`, the Gram matrix is one term of the curvature; add a
+                    // bound of the other term, which contains e, to the diagonal. Without `local`,
+                    // add only a bound of the whole curvature to the diagonal.
                     if !bounded {
                         if local {
-                            // with u = f/M, the part of the curvature that contains e is at most
+                            // with u = f/M, the term of the curvature that contains e is at most
                             // (π²/2) M |e|, since |cos| ≤ 1
                             let most = FRAC_PI_2 * PI * frames as f32;
                             curvature.iter_mut().zip(&*e).for_each(|(value, e)| *value = most * e.abs());

@@ -41,7 +41,8 @@ pub(crate) struct StageInfo {
     /// Values of the job that the result depends on, in addition to results of other stages. Equal
     /// values give equal results.
     pub(crate) reads: fn(&Job) -> Value,
-    /// Files and folders that the stage writes, relative to the folder of a part.
+    /// Files and folders that the stage writes, relative to the folder of its job, such as a run or
+    /// a time step.
     pub(crate) writes: &'static [&'static str],
     /// Fingerprints of code that are part of the stage's keys.
     pub(crate) code: Code,

@@ -32,7 +32,8 @@ const SAME_SLOPE: f64 = 1e-6;
 /// * emission: for a directional backlight [frame, bin_y, bin_x, lenslet_row, lenslet_col, rgb]
 /// * brightness: β of the patterns, above 0 and at most 1; by default the display's
 ///
-/// Arrays may have the same types and layouts as for LightField.
+/// Arrays may have the same types and layouts as for LightField. While the layer stack is in use,
+/// do not write to arrays that are used without a copy.
 ///
 /// >>> display = Display("fig7-uniform", resolution=(8, 8), frames=1)
 ///

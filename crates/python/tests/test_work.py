@@ -17,9 +17,9 @@ import pytest
 
 import lumistack
 
-#: Most processor time from an interrupt to the end of the work, seconds of each core. On an idle
-#: machine the work ends after less than 0.2 s. Other programs delay the end, but do not add to the
-#: processor time of this work.
+#: Largest processor time from an interrupt to the end of the work, seconds, summed over all cores:
+#: one second per core. On an idle machine the work ends after less than 0.2 s. Other programs delay
+#: the end, but do not add to the processor time of this work.
 PATIENCE = 1.0 * (os.cpu_count() or 1)
 
 

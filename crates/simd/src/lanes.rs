@@ -65,7 +65,8 @@ pub trait Lanes: Copy {
     #[inline(always)]
     unsafe fn moved_up(self, before: Self) -> Self {
         let mut values = [0.0f32; 2 * crate::MAX_LANES];
-        // SAFETY: passed on from the caller; a vector has at most MAX_LANES lanes
+        // SAFETY: the caller guarantees that the machine has the instruction set; a vector has at
+        // most MAX_LANES lanes
         unsafe {
             before.store(values.as_mut_ptr());
             self.store(values.as_mut_ptr().add(Self::COUNT));
@@ -82,7 +83,8 @@ pub trait Lanes: Copy {
     #[inline(always)]
     unsafe fn from_array<const N: usize>(values: &[f32; N]) -> Self {
         const { assert!(N == Self::COUNT, "expected an array of COUNT values") };
-        // SAFETY: passed on from the caller; the array has COUNT values
+        // SAFETY: the caller guarantees that the machine has the instruction set; the array has
+        // COUNT values
         unsafe { Self::load(values.as_ptr()) }
     }
 
@@ -91,7 +93,8 @@ pub trait Lanes: Copy {
     unsafe fn to_array<const N: usize>(self) -> [f32; N] {
         const { assert!(N == Self::COUNT, "expected an array of COUNT values") };
         let mut values = [0.0; N];
-        // SAFETY: passed on from the caller; the array has COUNT values
+        // SAFETY: the caller guarantees that the machine has the instruction set; the array has
+        // COUNT values
         unsafe { self.store(values.as_mut_ptr()) };
         values
     }

@@ -10,7 +10,7 @@ use crate::lanes::{Kernel, Lanes};
 pub struct Neon(float32x4_t);
 
 pub(crate) unsafe fn run<K: Kernel>(args: K::Args<'_>) -> K::Output {
-    // SAFETY: passed on from the caller
+    // SAFETY: the caller guarantees the instruction set, and arguments as the kernel demands
     unsafe { K::run::<Neon>(args) }
 }
 

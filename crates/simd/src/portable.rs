@@ -10,7 +10,7 @@ use crate::lanes::{Kernel, Lanes};
 pub struct Portable([f32; 8]);
 
 pub(crate) unsafe fn run<K: Kernel>(args: K::Args<'_>) -> K::Output {
-    // SAFETY: passed on from the caller
+    // SAFETY: the caller guarantees arguments as the kernel demands; every machine runs scalar code
     unsafe { K::run::<Portable>(args) }
 }
 
@@ -146,7 +146,7 @@ impl Lanes for Portable {
 
     #[inline(always)]
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output {
-        // SAFETY: passed on from the caller
+        // SAFETY: the caller guarantees arguments as the kernel demands
         unsafe { run::<K>(args) }
     }
 }

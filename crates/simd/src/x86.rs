@@ -8,13 +8,13 @@ use crate::lanes::{Kernel, Lanes};
 /// file exists only after their detection.
 #[target_feature(enable = "avx2,fma,f16c")]
 pub(crate) unsafe fn avx2<K: Kernel>(args: K::Args<'_>) -> K::Output {
-    // SAFETY: passed on from the caller
+    // SAFETY: the caller guarantees the instruction set, and arguments as the kernel demands
     unsafe { K::run::<Avx2>(args) }
 }
 
 #[target_feature(enable = "avx512f,avx512vl,avx2,fma,f16c")]
 pub(crate) unsafe fn avx512<K: Kernel>(args: K::Args<'_>) -> K::Output {
-    // SAFETY: passed on from the caller
+    // SAFETY: the caller guarantees the instruction set, and arguments as the kernel demands
     unsafe { K::run::<Avx512>(args) }
 }
 

@@ -105,8 +105,8 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     let python = program.display().to_string();
     let io = |source| Failed::Final(UsdError::Io { place: "a temporary file".into(), source });
     let file = tempfile::tempfile().map_err(io)?;
-    // Start the child. With these variables, modules in the working folder do not shadow Python's
-    // own, and file names are UTF-8.
+    // Start the child. From Python 3.11 on, `PYTHONSAFEPATH` keeps the working folder out of the
+    // module path; `boot.py` does this for older Pythons. `PYTHONUTF8` makes file names UTF-8.
     let mut command = Command::new(program);
     command.args(["-c", BOOT]).env("PYTHONSAFEPATH", "1").env("PYTHONUTF8", "1");
     command.stdin(Stdio::piped()).stdout(file.try_clone().map_err(io)?).stderr(Stdio::piped());

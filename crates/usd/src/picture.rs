@@ -96,8 +96,8 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     // a texel takes at most 16 bytes: four channels of at most four bytes
     if u64::from(width) * u64::from(height) * 16 > MOST_BYTES || width.max(height) > MOST_TEXELS_A_SIDE {
         return Err(format!(
-            "{width} × {height} texels; at most 32768 are read in a row or column, and at most {} MiB in all",
-            MOST_BYTES >> 20
+            "{width} × {height} texels; at most 32768 are read in a row or column, and at most {} in all",
+            MOST_BYTES / 16
         ));
     }
     let color = decoder.color_type();

@@ -77,11 +77,13 @@ fn points(package: &Package<'_>, array: &Option<Array>, place: &str) -> Result<V
 }
 
 /// Returns the width of curves or points without widths, and warns about it. `found` is the width
-/// that follows from the distances between points; `None` if all points coincide.
+/// that follows from the spacing or from the bounding box; `None` if the box has no extent.
 fn width_by_spacing(kind: &str, found: Option<f32>, place: &str, task: Task<'_>) -> f32 {
     let message = match found {
         Some(width) => {
-            format!("the {kind} have no widths; the width {width} follows from the distances between points")
+            format!(
+                "the {kind} have no widths; the width {width} follows from their spacing, or from their bounding box"
+            )
         }
         None => format!("the {kind} have no widths, and all points coincide; the width {WIDTH} is used"),
     };
@@ -158,7 +160,8 @@ pub(crate) fn curves(
         "pinned" => Wrap::Pinned,
         _ => Wrap::Nonperiodic,
     };
-    // Read the attributes. If widths are missing, they follow from the spacing of the curves.
+    // Read the attributes. If widths are missing, they follow from the spacing of the curves, or
+    // from their bounding box.
     let list = |array: &Option<Array>, name: &str| -> Result<Option<Owned>, Fault> {
         let Some(array) = array else { return Ok(None) };
         let (values, width) = reals(package, array, place)?;
@@ -207,7 +210,8 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
         task.warn(place, format!("of {} points only the first {MOST_POINTS} are shown", points.len()));
         points.truncate(MOST_POINTS);
     }
-    // If widths are missing, they follow from the spacing of the points.
+    // If widths are missing, they follow from the spacing of the points, or from their bounding
+    // box.
     let widths = match &entry.widths {
         Some(array) => reals(package, array, place)?.0,
         None => Vec::new(),

@@ -123,8 +123,9 @@ impl Work {
         Self::begin(Some(files), path, settings)
     }
 
-    /// Prepares the work on a light field: a file or folder of any kind that the command reads. In
-    /// a page the files are in the memory of the module of decoders.
+    /// Prepares the work on a light field: a file or folder of any kind that the program
+    /// `lumistack` reads. In the browser, `path` names files in the memory of
+    /// `lumistack-web-decoders`, a separate WebAssembly module.
     ///
     /// # Errors
     /// If the settings are invalid.

@@ -48,12 +48,14 @@ def empty():
     scene.cycles.use_denoising = False
     scene.cycles.pixel_filter_type = "BOX"
     scene.cycles.filter_width = 1.0
-    # Do not clamp or drop light, and trace as many bounces as Lumistack.
+    # Do not clamp or drop light.
     scene.cycles.sample_clamp_direct = scene.cycles.sample_clamp_indirect = 0.0
     scene.cycles.blur_glossy = 0.0
     scene.cycles.light_sampling_threshold = 0.0
+    # Cycles does not count the bounce at the first hit, so its limit is one less than Lumistack's
+    # default, 6.
     for kind in ("max", "diffuse", "glossy", "transmission"):
-        setattr(scene.cycles, kind + "_bounces", 6)
+        setattr(scene.cycles, kind + "_bounces", 5)
     world = bpy.data.worlds.new("world")
     if bpy.app.version < (5, 0, 0):
         world.use_nodes = True

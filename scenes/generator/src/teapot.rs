@@ -18,9 +18,9 @@ use crate::teapot_data::{CONTROL_POINTS, PATCHES};
 /// Derivatives shorter than this, in units of the data set, are treated as zero.
 const DEGENERATE_LENGTH: f64 = 1e-9;
 
-/// Indices of the patches between which the teapot is closed. In `RIM_PATCHES` the first row of
-/// control points is the rim's inner edge. In `LID_EDGE_PATCHES` the last row is the lid's outer
-/// edge.
+/// Indices of the rim's and the lid's patches, between which a ring of added faces closes the gap.
+/// In `RIM_PATCHES` the first row of control points is the rim's inner edge. In `LID_EDGE_PATCHES`
+/// the last row is the lid's outer edge.
 const RIM_PATCHES: std::ops::Range<usize> = 0..4;
 const LID_EDGE_PATCHES: std::ops::Range<usize> = 24..28;
 

@@ -225,7 +225,7 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// Reads the slope of a viewer, to the right and up; `Some(None)` if the viewer leaves.
+/// Reads the slope of the viewing direction, to the right and up. `Some(None)`: the viewer leaves.
 fn slope_of(query: &str) -> Option<Option<[f64; 2]>> {
     match ["x", "y"].map(|name| value(query, name)) {
         [None, None] => Some(None),

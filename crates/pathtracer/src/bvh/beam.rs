@@ -186,7 +186,7 @@ impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>((bvh, rays, hits, stack, accept): Self::Args<'_>) {
-        // SAFETY: passed on from the caller
+        // SAFETY: the caller guarantees that the machine has the instruction set
         unsafe { bvh.beam_in::<V>(rays, hits, stack, accept) }
     }
 }

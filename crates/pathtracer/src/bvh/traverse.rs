@@ -447,7 +447,7 @@ impl<F: FnMut(&Hit) -> bool> Kernel for Nearest<F> {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>((bvh, ray, stack, accept, found): Self::Args<'_>) {
-        // SAFETY: passed on from the caller
+        // SAFETY: the caller guarantees that the machine has the instruction set
         unsafe {
             *found = if bvh.instances.is_empty() {
                 bvh.nearest_in::<V, false>(ray, stack, accept)
@@ -468,7 +468,7 @@ impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>((bvh, ray, stack, transmittance): Self::Args<'_>) -> Vec3 {
-        // SAFETY: passed on from the caller
+        // SAFETY: the caller guarantees that the machine has the instruction set
         unsafe {
             if bvh.instances.is_empty() {
                 bvh.transmittance_in::<V, false>(ray, stack, transmittance)

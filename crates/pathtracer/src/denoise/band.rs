@@ -190,8 +190,8 @@ impl Scratch {
         for y in 0..height {
             let p = (y + margin) * width + margin;
             let q = (p as isize + shift[0] * width as isize + shift[1]) as usize;
-            // compute the weights: from the guides, times the kernel of the patches' colour
-            // distances
+            // Compute the guide weights. For the answers that use colours, multiply them by the
+            // kernel of the patches' colour distances.
             guide_row(centre, block, p, q, &steady[y * cols..][..cols], &mut self.guides);
             let range = y * cols..(y + 1) * cols;
             for half in 0..2 {

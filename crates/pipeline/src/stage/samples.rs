@@ -123,8 +123,8 @@ struct Half {
     brightest: Vec<(f32, bool)>,
 }
 
-/// Storage of light fields that are not kept in memory: a folder, and the bytes of each light field
-/// that may be in memory.
+/// Folder for light fields that are kept in files, and the largest number of bytes of each of them
+/// that may be in memory. `None` keeps light fields in memory.
 type Place<'a> = Option<(&'a Path, usize)>;
 
 fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) -> Result<Samples, PipelineError> {

@@ -53,8 +53,8 @@ pub struct RenderJob {
     /// Number of views per axis between the views of the light field, rendered for the report only;
     /// 0 for none.
     pub held_out: usize,
-    /// Number of views left and right of the middle row's outermost views, one view spacing apart.
-    /// If the views have one column, the views are above and below it. They are rendered for the
+    /// Number of additional views to the left of the middle row, and as many to its right, one view
+    /// spacing apart. A single column has them above and below instead. They are rendered for the
     /// report only; 0 for none.
     pub outside: usize,
 }

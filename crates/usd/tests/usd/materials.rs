@@ -105,7 +105,8 @@ fn opacity_cuts_or_blends_and_shares_the_texture_of_the_colour() {
     let (scene, material, _) =
         preview(json!({"diffuseColor": colour, "opacity": alpha, "opacityThreshold": {"value": [0.25]}}));
     assert_eq!(material.alpha_mode, AlphaMode::Mask { cutoff: 0.25 });
-    // colours and alpha are where the slot reads them, so the texture is the picture itself
+    // The material reads colour from the picture's red, green and blue, and opacity from its alpha.
+    // So the texture is the unchanged picture.
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture), [[255, 0, 51, 255], [0, 102, 204, 128]]);
     // opacity comes from green and the colour is constant, so the texture is white with this alpha
     let (scene, material, _) = preview(json!({"opacity": texture(&[1], 1.0, 0.0, "raw")}));
