@@ -87,7 +87,7 @@ pub struct ZoneFigures {
     /// True if the reference pictures are views of a given light field that the solver did not use.
     /// False if they are renders.
     pub left_out: bool,
-    /// Directions whose references have enough samples for SSIM, FLIP and pictures on the page.
+    /// Directions whose references show every pixel, for SSIM, FLIP and pictures on the page.
     pub views: Vec<ZoneView>,
 }
 

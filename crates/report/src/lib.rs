@@ -31,7 +31,7 @@
 //! | `schema`, `version` | `"lumistack/report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_zone`, `psnr_zone_worst_tenth` | The main score: PSNR of seen pictures in dB, over directions in the whole zone, which no solver used. The second is over the worst tenth of the directions. Both are null without reference pictures |
-//! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), `ssim` and `flip`. The last two are means over the first eight directions, whose references have enough samples |
+//! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), `ssim` and `flip`. The last two are means over the first eight directions, whose references show every pixel |
 //! | `psnr_view`, `psnr_raw` | dB, along the centre rays of the target views' pixels: the quality of the solver. Here and below, at most 7 views along an axis are measured |
 //! | `ssim`, `flip` | means over the measured target views |
 //! | `pixels_per_degree` | pixels per degree of visual angle, for FLIP |

@@ -15,7 +15,7 @@ pub(super) fn headline(measured: &Measured) -> Markup {
             div class="compare group" { (pictures(&measured.headline)) }
             div class="beside" {
                 p {
-                    @if measured.zone.is_some() { "The seen picture from a direction that the solver did not use. Among the directions whose references have enough samples, this direction has the median score. " } @else { "The view from straight ahead. " }
+                    @if measured.zone.is_some() { "The seen picture from a direction that the solver did not use. Among the directions whose references show every pixel, this direction has the median score. " } @else { "The view from straight ahead. " }
                     "A good display shows the picture of the target, and the difference is almost white. Red is too bright, blue is too dark. The error is "
                     "amplified " strong { "× " (k) } " (the error of the colour channel with the largest error, in linear light)."
                     @if measured.has_dropped_rays { " Grey squares are rays that leave a layer or have weight 0; scores exclude them, and the display may show black there." }
