@@ -287,7 +287,8 @@ impl Renderer {
         // report samples that could not be used, and light that was removed
         let lost = lost.into_inner();
         if lost > 0 {
-            let all = settings.samples as usize * geometry.rows * geometry.cols;
+            let all_pixels = (0..geometry.rows).flat_map(|row| (0..geometry.cols).map(move |col| [row, col]));
+            let all = settings.samples as usize * all_pixels.filter(is_rendered).count();
             task.warn(
                 format!("view {},{}", view[0], view[1]),
                 format!("{lost} of {all} samples are left out, since they are not finite numbers"),
