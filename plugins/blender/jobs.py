@@ -222,8 +222,8 @@ class Job:
         return Patterns(stack, key)
 
     def _probe(self, folder: Path):
-        """Renders at most two views by Blender, or all views at a quarter of the resolution by Lumistack's
-        path tracer, to measure the time."""
+        """Measures the time. Renders at most two views by Blender, or all views and the pictures for the
+        score by Lumistack's path tracer, with a quarter of the columns and rows."""
         settings = self.scene.lumistack
         display = display_of(settings)
         window = window_of(self.scene, display)

@@ -182,7 +182,7 @@ def _settings_class():
         "brightness": FloatProperty(name="Brightness", description="Brightness scale: the display emits the target times this factor", default=0.2, min=0.001, max=1.0, **draw),
         "quality": EnumProperty(
             name="Quality",
-            description="Pixels, iterations of the solver, and paths of Lumistack's path tracer",
+            description="Pixels, iterations of the solver, and paths of Lumistack's path tracer. If Views is Automatic, a run measures the number of paths instead, except with Custom",
             items=[
                 ("DRAFT", "Draft", "A fifth of the display's columns and rows, 10 iterations, 4 paths per pixel and view"),
                 ("PREVIEW", "Preview", "Half of the display's columns and rows, 25 iterations, 16 paths per pixel and view"),

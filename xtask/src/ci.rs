@@ -143,9 +143,9 @@ fn fetch() -> Outcome<PathBuf> {
     Ok(python)
 }
 
-/// Longest time of a program that the checks start. The limit ends a program that hangs, before CI
-/// itself ends the checks. On a slow machine, `cargo test` took 25 minutes beside other steps, more
-/// than twice its time on a fast one.
+/// Longest time of a program that the checks without `--full` start. The limit ends a program that
+/// hangs, before CI itself ends the checks. On a slow machine, `cargo test` took 25 minutes beside
+/// other steps, more than twice its time on a fast one.
 const LONGEST: Duration = Duration::from_mins(45);
 
 /// Runs all checks, and prints a table with the time of each step.

@@ -247,8 +247,8 @@ impl<'ast> Visit<'ast> for Reader {
     }
 }
 
-/// Finds the module whose file defines the item at `path`, a path from the crate's root. `None` if
-/// no module of the crate contains it.
+/// Finds the module whose file defines the item at `path`, a path from the crate's root. Never
+/// returns `None`, since the root module contains all paths.
 fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Option<Names> {
     let module = (0..=path.len()).rev().map(|count| &path[..count]).find(|module| files.contains_key(*module))?;
     let source = &files[module];

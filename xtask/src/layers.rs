@@ -153,7 +153,7 @@ fn check_portable(folder: &std::path::Path, problems: &mut Vec<String>) -> Outco
             for (number, line) in code.lines().enumerate() {
                 let code = line.split("//").next().unwrap_or_default();
                 if let Some(call) = NOT_PORTABLE.iter().find(|call| code.contains(*call)) {
-                    problems.push(format!("{}:{}: {call} does not exist on wasm32", path.display(), number + 1));
+                    problems.push(format!("{}:{}: expected portable code, found {call}", path.display(), number + 1));
                 }
             }
         }

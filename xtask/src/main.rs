@@ -54,7 +54,7 @@ cargo xtask <task>
                 Blender's own tool; --check builds it only for this machine, and runs its tests (cases) in Blender's module
                 bpy; --full runs them in every version of Blender; --case runs the named cases with the existing extension
   web [--check | module | pages | fixtures | test]
-                build the simulator's module and page into web/dist, optimize and measure them; --check fails if web/dist
+                build the simulator's modules and pages into web/dist, optimize and measure them; --check fails if web/dist
                 was not made from the present sources, and tests the page in a browser; the other words select one step. `pages`
                 builds the pages around the committed modules, in seconds, after changes of web/src alone
   dist [what]   make all files that users download, in target/dist; `dist --help` lists these files; `dist test` installs them

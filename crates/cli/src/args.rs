@@ -45,7 +45,7 @@ pub(crate) struct Args {
 pub(crate) enum Command {
     /// Render a job or a scene, compute the patterns of its display, and write outputs and a report
     #[command(
-        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan\n      prints the steps of the job, and estimates of their time and memory, but does not run them\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk\n      a sequence of 24 time steps, in which the viewer walks 30° around the scene\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o fox\n      a sequence of 24 time steps, in which the scene's animation plays for 0.7 s\n\nA scene that is given without a job file gets pictures of the layers and a browser simulator as outputs; a sequence gets only pictures. If a run was stopped, the same command continues it."
+        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan\n      prints the steps of the job, and estimates of their time and memory, but does not run them\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk\n      a sequence of 24 time steps, in which the viewer walks 30° around the scene\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o fox\n      a sequence of 24 time steps, in which the scene's animation plays for 0.7 s\n\nA scene that is given without a job file gets pictures of the layers and a browser simulator as outputs; a sequence gets only pictures. If a run was stopped, the same command continues it.\n\nAn option replaces the value of the job file. The default of an option applies if the job file does not set the value."
     )]
     Run(Run),
     /// Write a job file with comments, from three answers or options: scene, display and outputs
@@ -178,7 +178,8 @@ pub(crate) enum Setup {
         /// reads MaterialX files (.mtlx)
         #[arg(long)]
         materialx: bool,
-        /// Python that makes the environment [default: python3 on PATH]
+        /// Python that makes the environment [default: the first Python on PATH that is 3.8 or
+        /// newer]
         #[arg(long, value_name = "PROGRAM")]
         python: Option<PathBuf>,
     },
@@ -340,8 +341,8 @@ pub(crate) struct Info {
     /// with these exceptions. Auto changes nothing if the scene fits, or if the depth of field does
     /// not lie on both sides of the display plane. Auto does not move the window if the job has
     /// `window.from = "given"`, or if the job or the camera states a focus distance. Auto does not
-    /// compress depth if a depth scale other than 1 is set. Without this option, HOW is auto;
-    /// `--fit-depth` alone means move
+    /// compress depth if a depth scale other than 1 is set. Without this option, HOW is the job's,
+    /// or auto; `--fit-depth` alone means move
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

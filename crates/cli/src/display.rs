@@ -17,7 +17,8 @@ use crate::values::{Angles, Numbers, Size};
 /// Actions on display files.
 #[derive(Debug, Subcommand)]
 pub(crate) enum DisplayCommand {
-    /// Write a display file for your own panels. The command asks questions about missing options
+    /// Write a display file for your own panels. The command asks questions about missing options,
+    /// except --gamma and --contrast
     #[command(
         after_help = "Examples:\n  lumistack display new my-display.toml\n      asks questions, and writes the file\n  lumistack display new my-display.toml --no-questions --gaps-mm 40,40 \\\n      --panel-resolution 1680x1050 --diagonal-inch 22\n      asks nothing\n\nFor a display of a single layer use --gaps-mm 0. With --lens-pitch-mm the display has a lens array, and a panel behind the lenses, in addition to the panels of the layers. The default is then a single layer."
     )]

@@ -14,7 +14,7 @@ use lumistack_pipeline::{
 
 use crate::values::{Angles, Numbers, Size};
 
-/// The default display of `run` and `render`.
+/// Preset of the display if neither a job nor the command line names a display.
 pub const DEFAULT_DISPLAY: &str = "paper-three-layer";
 
 /// Changes to the display.
@@ -140,7 +140,7 @@ pub(crate) struct RenderArgs {
     /// scene fits, or if the depth of field does not lie on both sides of the display plane. Auto
     /// does not move the window if the job has `window.from = "given"`, or if the job or the camera
     /// states a focus distance. Auto does not compress depth if a depth scale other than 1 is set.
-    /// Without this option, HOW is auto; `--fit-depth` alone means move
+    /// Without this option, HOW is the job's, or auto; `--fit-depth` alone means move
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor that multiplies the parallax between views, and so the visible depth
@@ -161,10 +161,12 @@ pub(crate) struct RenderArgs {
 /// Limits on the files that a scene may read, and on the memory of its pictures.
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub(crate) struct FileArgs {
-    /// Let a glTF or OBJ scene read files outside of its own folder
+    /// Let a glTF scene, or a scene of an importer plugin such as OBJ, read files outside of its
+    /// own folder
     #[arg(long, help_heading = "Scene files")]
     pub(crate) allow_outside: bool,
-    /// Largest memory for the decoded pictures of a glTF or OBJ scene, MiB [default: 8192]
+    /// Largest memory for the decoded pictures of a scene, MiB; no effect on USD files [default:
+    /// 8192]
     #[arg(long, value_name = "MIB", help_heading = "Scene files", value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     pub(crate) picture_budget: Option<u64>,
 }
@@ -305,7 +307,7 @@ pub(crate) struct GeometryArgs {
     /// vertical
     #[arg(long, value_name = "HxV")]
     pub(crate) tiles: Option<Size>,
-    /// Reduce every view to this many columns and rows
+    /// Columns and rows of every view. Views are cropped to this aspect ratio, then reduced
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
     /// Disparity of the display plane, pixels. From a view to its right neighbour, a point of the

@@ -4,7 +4,7 @@
 //! ```text
 //! standard input ─▶ Requests ─▶ renderer ──light fields──▶ solver ──states──▶ page, panels
 //! files, video ───▶
-//! viewers ────────▶ Tracker ────────────────weights────────▶
+//! viewers ────────▶ Tracker ─────────────────rays──────────▶
 //! ```
 //!
 //! The renderer, the solver, the page and the panels run in one thread each.

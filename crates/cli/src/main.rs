@@ -19,8 +19,8 @@ fn main() -> ExitCode {
     }
     let cancel = Cancel::default();
     let flag = cancel.clone();
-    // A second Ctrl-C ends the program immediately. Files are written under another name and then
-    // renamed, so no file is incomplete.
+    // A second Ctrl-C ends the program immediately. Results are written under other names and then
+    // renamed, so no result is incomplete.
     let handler = ctrlc::set_handler(move || {
         if flag.is_cancelled() {
             std::process::exit(130);

@@ -91,7 +91,7 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
         Some(PathBuf::from(text)).filter(|path| is_scene(path))
     })?;
     if !is_scene(&scene) {
-        let found = if scene.is_dir() { "a folder" } else { "no such file" };
+        let found = if scene.is_dir() { "a folder" } else { "no such file, or a name that is not UTF-8" };
         return Err(PipelineError::value(&scene, "--scene", "a scene file that exists and whose name is UTF-8", found));
     }
     let known = |text: &str| DisplayJob::by_name_or_path(text).resolve();

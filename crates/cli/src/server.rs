@@ -444,7 +444,7 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
 }
 
 /// Finds the file of a request's path. `None` for paths that leave the folder, even through links,
-/// and for anything but a regular file.
+/// for paths with a name that begins with a dot, and for anything but a regular file.
 fn file_of(root: &Path, path: &str) -> Option<PathBuf> {
     let decoded = percent_decode_str(path.strip_prefix('/')?).decode_utf8().ok()?;
     let relative =

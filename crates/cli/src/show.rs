@@ -369,7 +369,7 @@ fn save(display: &Display, file: Option<&Path>) -> Result<PathBuf, PipelineError
         PipelineError::value(
             "save",
             "file",
-            "a display file of these panels (--calibration FILE names one)",
+            "a display file of these panels (--calibration FILE names one, but not together with --fit)",
             "a built-in display, or a display that --fit changed",
         )
     })?;

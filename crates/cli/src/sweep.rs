@@ -171,7 +171,7 @@ impl List {
             let is_whole = number.fract() == 0.0 && (1.0..1e6).contains(number);
             is_whole
                 .then_some(*number as usize)
-                .ok_or_else(|| PipelineError::value(option, "LIST", "whole numbers of at least 1", number.to_string()))
+                .ok_or_else(|| PipelineError::value(option, "LIST", "integers from 1 to 999999", number.to_string()))
         };
         self.0.iter().map(whole).collect()
     }

@@ -161,7 +161,7 @@ impl Display {
     }
 
     /// Returns the display as the text of a display file. The text includes default values, except
-    /// the default `colour_order`.
+    /// the default `colour_order` and optional keys without a value.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a display holds nothing that TOML cannot")
     }

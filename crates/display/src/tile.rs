@@ -135,7 +135,7 @@ struct AxisPart {
     offset_mm: f64,
     /// Reach of the layer's blur, pixels.
     blur: usize,
-    /// The two pixels that a ray reads, `[view][field pixel]`; `None` if the ray misses.
+    /// The two pixels that a ray reads, `[view][field pixel]`; `None` if the ray reads none.
     met: Vec<Vec<Option<[usize; 2]>>>,
 }
 

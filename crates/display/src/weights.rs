@@ -46,7 +46,8 @@ impl Weights {
     ///
     /// # Errors
     /// If the geometry is invalid, or an eye is not in front of the display. Also if σ is not above
-    /// 0, or if a weight or the floor is negative or not finite.
+    /// 0 or not finite, or if a weight or the floor is negative or not finite. Also if the sum of
+    /// the weights and the floor exceeds [`f32::MAX`].
     pub fn eye_boxes(geometry: &FieldGeometry, boxes: &[EyeBox], floor: f32) -> Result<Self, WeightError> {
         let check = |ok: bool, expected: String, found: String| {
             if ok { Ok(()) } else { Err(WeightError { expected, found }) }

@@ -2,7 +2,8 @@
 //! display with the views of a whole viewing zone. Compares these rates with the processor's rates
 //! and with the adapter's measured limits.
 //!
-//! Operations and bytes per update and colour channel, with F factors and M frames:
+//! The output calls an iteration an update. Operations and bytes per iteration and colour channel,
+//! with F factors and M frames:
 //!
 //! ```text
 //! multiply-adds per ray   block-exact      F (M (F−2) + 2M + M(M+1)/2)

@@ -249,7 +249,7 @@ impl Plan {
         self.maps[n].layout.outside
     }
 
-    /// Returns true if every ray reads one pixel of factor `n`.
+    /// Returns true if every ray that hits factor `n` reads one of its pixels, not a mixture.
     pub fn is_nearest(&self, n: usize) -> bool {
         self.maps[n].nearest
     }
@@ -297,8 +297,8 @@ impl Plan {
         self.target.row(channel, self.view(view[0], view[1]), row).part(0..self.cols)
     }
 
-    /// Returns one row of √w of a view, with weights relative to the largest weight. `None` if all
-    /// weights are 1.
+    /// Returns one row of √w of a view, with weights relative to the largest weight. `None` for
+    /// [`Weights::Uniform`](lumistack_display::Weights::Uniform).
     pub fn weights_row(&self, view: [usize; 2], row: usize) -> Option<&[f32]> {
         let weights = self.target.weights(self.view(view[0], view[1]), row)?;
         Some(&weights[crate::factor::PAD..][..self.cols])

@@ -42,9 +42,9 @@ pub struct Settings {
     /// Number of iterations between evaluations of the objective, at least 1; the last iteration
     /// always has an evaluation.
     ///
-    /// If layers attenuate, weights are uniform and every ray reads one pixel per layer,
-    /// block-exact solvers obtain the objective from an iteration's sums. Otherwise an evaluation
-    /// costs about a third of an iteration.
+    /// If layers attenuate without blur and crosstalk, weights are uniform and every ray reads one
+    /// pixel per layer, block-exact solvers usually obtain the objective from an iteration's sums.
+    /// Otherwise an evaluation costs about a third of an iteration.
     pub report_every: u32,
     /// True to re-optimize patterns of layers with few bits on the levels of their panels.
     /// Otherwise the patterns stay continuous.
@@ -140,7 +140,7 @@ pub struct LevelsLoss {
 ///
 /// # Errors
 /// If the problem, the settings or the warm start are unusable, if no ray has a weight above 0, or
-/// when cancelled.
+/// when cancelled. Also if the target is in a file, and the file for its copy cannot be written.
 pub fn factorize(
     problem: &Problem,
     settings: &Settings,
@@ -172,8 +172,8 @@ pub fn factorize_on(
 /// `problem` has the results of [`Tile::display`], [`Tile::light_field`] and [`Tile::weights`].
 /// `whole` maps the rays of the whole display. With `fixed`, the pixels of `warm` around the tile's
 /// free pixels keep their values, except that black is lifted as in every warm start. Without
-/// `fixed`, all pixels of the tile are solved. Without `warm`, the tile starts with its section of
-/// the whole display's start.
+/// `fixed`, all pixels of the tile are solved. Without `warm`, the tile starts by the settings. The
+/// noise of this start is the tile's section of the whole display's noise.
 ///
 /// # Errors
 /// The errors of [`factorize`]. [`FactorizeError::NoRays`] refers to the tile's rays alone.
@@ -270,11 +270,11 @@ fn start_run(
         // A warm start replaces the start of the settings and has no coarser levels.
         Some(warm) => {
             warm.check(display)?;
-            // Equal frames stay equal, so the user is warned. In a tile with fixed pixels, equal
-            // frames may be intended.
+            // By the multiplicative rule, equal frames stay equal, so the user is warned. In a tile
+            // with fixed pixels, equal frames may be intended.
             if display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
                 let message =
-                    "all frames are equal, and the solver keeps them equal, so the result is that of a single frame";
+                    "all frames are equal, and the solver multiplicative keeps them equal, as if there were one frame";
                 task.warn("warm start", message);
             }
             let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };

@@ -23,7 +23,7 @@
 //!    [`registers`](crate::registers) has the loop. AVX-512 and NEON hold up to 8 frames for the
 //!    paper's rule, and up to 4 for G. For G of 6 frames, 3×3 tiles along its diagonal are summed
 //!    together. The rest of G follows from a_m in a small buffer.
-//! 3. **Buffers.** Otherwise the a_m and e of a group of views are buffered, 10 kB for 25 views and
+//! 3. **Buffers.** Otherwise the a_m and e of a group of views are buffered, 11 kB for 25 views and
 //!    6 frames. Then the sums are made tile by tile, each in registers. So any number of frames
 //!    runs the same code, and 12 frames spill as little as 6. A group is small enough to leave room
 //!    in the first-level cache.

@@ -47,7 +47,7 @@ pub(crate) struct FactorMap {
     pub(crate) between: bool,
     /// True if `between` is true and a shift is fractional.
     pub(crate) mixes_columns: bool,
-    /// True if every ray reads a single pixel.
+    /// True if every ray that hits the factor reads a single pixel.
     pub(crate) nearest: bool,
     /// True if every valid ray hits the factor.
     pub(crate) complete: bool,
@@ -63,8 +63,7 @@ pub(crate) struct ColumnTaps {
     /// The taps as pieces for the inner loops; together the pieces cover all field columns.
     pub(crate) pieces: Vec<Piece>,
     /// The index of the pixel that a ray reads in the padded line, minus the ray's field column.
-    /// `None` if this shift differs between valid rays, or if a ray reads two pixels (`t` is not
-    /// 0).
+    /// `None` in the cases that [`constant_shift`] lists.
     pub(crate) shift: Option<isize>,
     /// The index of the first pixel minus the field column, and the weight of the second pixel.
     /// `None` if these two values differ between valid rays. A ray at the border reads the border
@@ -337,9 +336,9 @@ pub(crate) struct RawMap {
 /// Returns the shift of the rays in `runs`, which are ranges of field columns. The shift is the
 /// index of the pixel that a ray reads, minus the ray's field column.
 ///
-/// Returns `None` if this shift differs between rays of the runs, or if a ray reads two pixels.
-/// Also returns `None` if, at this shift, a ray that misses the factor would read one of the
-/// factor's pixels.
+/// Returns `None` if this shift differs between rays of the runs, if a ray reads two pixels, or if
+/// no ray hits the factor. Also returns `None` if, at this shift, a ray that misses the factor
+/// would read one of the factor's pixels.
 fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<isize> {
     let mut counted = runs.iter().flat_map(Clone::clone);
     let shift = counted.clone().find_map(|c| taps[c].map(|tap| tap.first as isize - c as isize))?;

@@ -4,10 +4,10 @@
 //! The masks are confined frame by frame and layer by layer to the levels that the panel can show
 //! ([`lumistack_display::Layer::levels`]). Each mask is confined by an update of the mask's layer:
 //! every coordinate step of the mask's values goes to the level nearest to the minimum. This level
-//! is the best one, since the objective is a parabola along a coordinate. Frames that are not yet
-//! confined, and later layers, then reduce the error. Confined values still move from level to
-//! level, so a few last iterations gain more. Once all masks are confined, the objective never
-//! rises.
+//! is the best one, since the objective, or its upper bound, is a parabola along a coordinate.
+//! Frames that are not yet confined, and later layers, then reduce the error. Confined values still
+//! move from level to level, so a few last iterations gain more. Once all masks are confined, the
+//! objective never rises.
 
 use lumistack_core::Task;
 use lumistack_display::{Display, LayerStack};

@@ -28,7 +28,8 @@ pub trait Solver: Sync {
     /// Prepares a run from the patterns `start`; clamps their values to the solver's box.
     ///
     /// # Errors
-    /// If the problem or the start is unusable.
+    /// If the problem or the start is unusable, or if the file for a copy of the target cannot be
+    /// written.
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError>;
 }
 
@@ -47,8 +48,8 @@ pub trait Run {
     /// Returns the objective that the last step obtained from its own sums. This may be the
     /// objective of the extrapolated patterns instead of the last iterate.
     ///
-    /// Returns `None` after a restart, or if the sums do not contain the objective.
-    /// [`Self::objective`] computes the objective in any case.
+    /// Returns `None` before the first step, after a restart, or if the sums do not contain the
+    /// objective. [`Self::objective`] computes the objective in any case.
     fn known_objective(&self) -> Option<Objective>;
 
     /// Computes the KKT residual: the distance of the patterns from the first-order conditions.

@@ -1,7 +1,7 @@
 //! Starting patterns.
 //!
-//! Frames that start equal stay equal, and a multiplicative rule never changes an exact 0. So in
-//! every kind of start, each frame has different noise, and no value is below [`FLOOR`].
+//! A multiplicative rule keeps equal frames equal, and never changes an exact 0. So in every kind
+//! of start, each frame has different noise, and no value is below [`FLOOR`].
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_display::{Display, Formation, Layer, LayerStack};
@@ -220,7 +220,7 @@ pub(crate) fn line_means(plan: &Plan, at: LineOf) -> Vec<[f32; 2]> {
 }
 
 /// Returns the mean of βL over the rays through every pixel of factor `n`, ordered as a tensor of
-/// one frame. A pixel without rays gets the mean of all pixels.
+/// one frame. A pixel without rays gets the mean over the rays of all pixels and channels.
 fn mean_target(plan: &Plan, n: usize) -> Vec<f32> {
     let layout = &plan.maps[n].layout;
     let lines = bands::map(

@@ -1,10 +1,11 @@
 //! The target and the weights in the order of the inner loops, in rows that are padded at both
 //! ends.
 //!
-//! A target in memory is `[channel][view][row][x]`. A target in a file is
+//! The copy of a target in memory is `[channel][view][row][x]`. The copy of a target in a file is
 //! `[channel][row][view][x]`, since the rays through a line of a layer are in a band of rows. So
-//! updates read the file from one end to the other, and only a band is in memory. If a target in
-//! memory had the order of files, updates would take 1.3 times as long for 13 × 13 views.
+//! updates read the file from one end to the other, and only a band is in memory. If a copy in
+//! memory had the order of files, updates would take 1.3 times as long for 13 × 13 views. A lent
+//! target is not copied: it has one channel, `[view][row][x]`.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -218,7 +219,7 @@ impl Target {
         Self { stride, rows: rows.len(), views: views.len(), order: Order::Views, values, weights, ..*self }
     }
 
-    /// Returns true if all rays have weight 1.
+    /// Returns true for [`Weights::Uniform`]: all rays have weight 1.
     pub(crate) fn is_uniform(&self) -> bool {
         matches!(self.weights, RayWeights::Uniform)
     }
@@ -247,8 +248,8 @@ impl Target {
         }
     }
 
-    /// Returns one padded row of √w, with w relative to the largest weight; `None` if all weights
-    /// are 1.
+    /// Returns one padded row of √w, with w relative to the largest weight; `None` for
+    /// [`Weights::Uniform`].
     #[inline(always)]
     pub(crate) fn weights(&self, view: usize, row: usize) -> Option<&[f32]> {
         match &self.weights {

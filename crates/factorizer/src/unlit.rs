@@ -18,8 +18,8 @@ use crate::plan::Plan;
 /// Largest root mean square of the light a_m that the other layers pass to an unlit pixel, relative
 /// to the brightness β.
 ///
-/// The full range of an unlit value changes the seen picture by at most a third of the smallest
-/// step in 8-bit sRGB.
+/// The full range of an unlit value changes the picture along its rays, in the root mean square, by
+/// at most a third of the smallest step in 8-bit sRGB.
 const UNLIT: f64 = 1e-4;
 
 /// Smallest value of a warm start. An exact step moves a value to the minimum of the objective even

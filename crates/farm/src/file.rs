@@ -40,8 +40,8 @@ pub(crate) fn plain(name: &str) -> String {
     name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }).collect()
 }
 
-/// Returns the time after which a manager stops a unit that hangs, seconds. It is far longer than
-/// the expected time, which is only a rough estimate.
+/// Returns the time after which Open Job Description and Deadline stop a unit that hangs, seconds.
+/// It is far longer than the expected time, which is only a rough estimate.
 pub(crate) fn limit_seconds(expected: f64) -> u64 {
     3600 + (20.0 * expected) as u64
 }

@@ -8,7 +8,7 @@ use crate::graph::Graph;
 
 /// Writes a string literal of Python.
 fn literal(text: &str) -> String {
-    // JSON's escapes are also valid in Python.
+    // serde_json writes only escapes that are also valid in Python.
     serde_json::to_string(text).expect("texts serialize")
 }
 

@@ -103,8 +103,8 @@ fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
     left_out(document).unwrap_or_else(|| "no mesh has a copy to show".to_owned())
 }
 
-/// Reads the file's data, then its meshes, skins, cameras, nodes and animations, up to the first
-/// defect.
+/// Reads the file's data, the meshes that the scene does not show, and all skins, cameras, nodes
+/// and animations, up to the first defect.
 fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
     let root = &document.root;
     // Read the data first: buffers, views, accessors and images.

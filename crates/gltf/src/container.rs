@@ -11,7 +11,7 @@ use crate::typed::{Mistyped, typed};
 
 /// The contents of a file's container.
 pub(crate) struct Container<'a> {
-    /// The JSON as written, for quotations in messages and for extensions without a type.
+    /// The JSON without types, for quotations in messages and for extensions without a type.
     pub(crate) raw: Value,
     /// The JSON as typed values, whose indices are not checked yet.
     pub(crate) root: json::Root,

@@ -111,8 +111,8 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// Adds bytes of decoded content to the sum of all such bytes, before memory is allocated for
-    /// the content. Fails if the sum exceeds the limit.
+    /// Adds bytes of decoded content to the sum of all such bytes. Fails if the sum exceeds the
+    /// limit.
     pub(crate) fn spend(&self, place: &str, elements: usize, element_bytes: usize) -> Result<(), Fault> {
         let bytes = elements as u64 * element_bytes as u64;
         let total = self.decoded_bytes.get().saturating_add(bytes);

@@ -37,7 +37,7 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
     let Some(fields) = Fields::at(document, format!("{place}/extensions/KHR_draco_mesh_compression"))? else {
         return Ok(None);
     };
-    // list the ids of the attributes that the primitive uses
+    // list the ids of the attributes that the extension names
     let listed = document.json(&fields.place("attributes"));
     let Some(list) = listed.and_then(Value::as_object) else {
         return Err(Fault::new(fields.place("attributes"), "an object of attributes", quote(listed)));

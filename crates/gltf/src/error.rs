@@ -31,7 +31,7 @@ pub enum GltfError {
         place: String,
         /// Name of the unsupported extension.
         name: String,
-        /// Names of all extensions that this crate supports.
+        /// Names of all extensions that this crate reads.
         supported: String,
         /// Advice on how to replace the extension; starts with "; " or is empty.
         advice: String,

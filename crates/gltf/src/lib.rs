@@ -100,7 +100,7 @@ pub trait AssetResolver {
     /// WebAssembly module, to which the page then passes the content.
     ///
     /// # Errors
-    /// If the content is broken, or if its decoder panics.
+    /// If the content is broken, not supported or too large, or if its decoder panics.
     fn unpack(&self, packed: &unpack::Packed<'_>) -> Result<unpack::Unpacked, unpack::Unsound> {
         unpack::unpack(packed)
     }

@@ -54,9 +54,10 @@ pub fn load_with(
 /// The animations and variants that a file offers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Contents {
-    /// Animations in the file's order: name, and time of the last key in seconds.
+    /// Animations in the file's order: name, and time of the last key in seconds. An animation
+    /// without a name has its number as name.
     pub animations: Vec<(String, f32)>,
-    /// Names of the material variants in the file's order.
+    /// Names of the material variants in the file's order; a number replaces a missing name.
     pub variants: Vec<String>,
 }
 

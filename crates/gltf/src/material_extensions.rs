@@ -1,4 +1,4 @@
-//! Material extensions for which the `gltf` crate has no types.
+//! Material extensions that are read without types of the `gltf` crate.
 //!
 //! Source: the texts of KHR_materials_specular, _clearcoat, _sheen, _iridescence, _anisotropy and
 //! _dispersion. Factors out of range are clamped by the scene's validator.

@@ -127,8 +127,8 @@ pub(crate) fn plain(info: &json::texture::Info, parent: &str, slot: &str) -> Ref
     Reference { index: info.index, uv_set: info.tex_coord, transform, place: format!("{parent}/{slot}") }
 }
 
-/// Reads the transform of a texture for whose extensions the `gltf` crate has no type: a normal
-/// texture, or a texture of a material extension.
+/// Reads the transform of a texture whose extensions are read without types of the `gltf` crate: a
+/// normal texture, or a texture of a material extension.
 pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTransform, Fault> {
     serde_json::from_value(value.clone()).map_err(|_| {
         let place = format!("{place}/extensions/KHR_texture_transform");

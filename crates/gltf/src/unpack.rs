@@ -23,7 +23,7 @@ use lumistack_splats::read;
 /// Decodes packed content, within the limits that `packed` states.
 ///
 /// # Errors
-/// If the content is broken, or if the library that decodes it panics.
+/// If the content is broken, not supported or too large, or if the library that decodes it panics.
 pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
     let decode = || match *packed {
         Packed::Size(usage, bytes) => pictures::size(pictures::all, usage, bytes),
@@ -45,7 +45,7 @@ pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
 /// WebAssembly module that calls only this function is small, since it contains no other decoder.
 ///
 /// # Errors
-/// The errors of [`unpack`], and an error for all content except common pictures.
+/// The errors of [`unpack`], and an error for all content except common pictures and KTX2 pictures.
 pub fn unpack_common(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
     let decode = || match *packed {
         Packed::Size(usage, bytes) => pictures::size(pictures::common, usage, bytes),
@@ -104,7 +104,7 @@ mod tests {
     }
 
     /// For common pictures, `unpack_common` returns the same results as `unpack`, even if the
-    /// pictures are broken or of the wrong kind. `unpack_common` refuses all other content.
+    /// pictures are broken or of the wrong kind. `unpack_common` refuses an SPZ stream.
     #[test]
     fn common_pictures_need_few_decoders() {
         let picture = image::RgbImage::from_fn(5, 3, |x, y| image::Rgb([40 * x as u8, 70 * y as u8, 9]));

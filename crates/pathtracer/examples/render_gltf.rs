@@ -127,7 +127,7 @@ fn render(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Adds a sky, white above and grey below, to a scene in which nothing emits light.
+/// Adds a sky, white above and grey below, to a scene that is not [lit](Scene::is_lit).
 fn with_light(scene: Scene, task: Task<'_>) -> Result<Scene, Box<dyn std::error::Error>> {
     if scene.is_lit() {
         return Ok(scene);

@@ -10,8 +10,8 @@ const DROPPED: u32 = 13;
 /// are the exponents 0 to 63 of codes.
 const OFFSET: u32 = 96 << 10;
 
-/// Returns the code of the nearest value. Negative values and NaN become 0; values out of range
-/// become the smallest or the largest value.
+/// Returns the code of the nearest value. Negative values, NaN and too small values become 0. Too
+/// large values become the largest value.
 #[inline]
 pub(crate) fn encode(value: f32) -> u16 {
     let bits = if value > 0.0 { value.to_bits() } else { 0 };

@@ -99,7 +99,8 @@ pub struct Memory {
     pub geometry_bytes: usize,
     /// Number of bytes of the scene's meshes and images.
     pub scene_bytes: usize,
-    /// Number of bytes of the textures' coarser levels: about a third of the bytes of the images.
+    /// Number of bytes of the textures' coarser levels: about a third of the bytes of the images
+    /// that materials use.
     pub texture_bytes: usize,
 }
 

@@ -85,8 +85,8 @@ pub enum AngularFilter {
     /// Only the slope of the view itself.
     #[default]
     Point,
-    /// All slopes of the view's bin: a box as wide as the difference of neighbouring views' slopes,
-    /// centred on the view. An axis with a single view stays a point.
+    /// All slopes of the view's bin: a box centred on the view, as wide as the mean difference of
+    /// neighbouring views' slopes. An axis with a single view stays a point.
     Bin,
     /// A box of slopes with these widths (x, y), each ≥ 0, centred on the view. It is for views
     /// between or outside the views of a grid.

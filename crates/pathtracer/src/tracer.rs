@@ -336,7 +336,7 @@ impl Tracer<'_> {
     }
 
     /// Returns the first surface of every ray, as [`radiance`](Self::radiance) finds it. Its light
-    /// and the reflectance of its diffuse lobe are not computed.
+    /// and the reflectances of its lobes are not computed.
     pub(crate) fn first(
         &self,
         rays: &mut [Ray],

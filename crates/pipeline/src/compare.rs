@@ -58,7 +58,8 @@ pub struct RunComparison {
 /// Each picture shows the target, if there is one, both runs and their difference.
 ///
 /// # Errors
-/// If a run cannot be read, or the pixels differ.
+/// If a run cannot be read, the pixels differ, a picture cannot be written, or the task is
+/// cancelled.
 pub fn compare_runs(
     first: &Path,
     second: &Path,

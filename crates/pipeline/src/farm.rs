@@ -56,8 +56,8 @@ pub fn code() -> String {
 /// The plan of a run: its job and its units, in the form of `plan.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FarmPlan {
-    /// Hash of job, code and units. The record of a unit is ignored if it has the id of another
-    /// plan.
+    /// Hash of the job, the files that it names, the code and the units. The record of a unit is
+    /// ignored if it has the id of another plan.
     pub id: String,
     /// Name of the job.
     pub name: String,

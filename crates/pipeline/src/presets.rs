@@ -16,7 +16,7 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 /// Loads the preset `name`.
 ///
 /// # Errors
-/// If there is no such preset; the error suggests the nearest name.
+/// If there is no such preset; the error suggests a similar name, if there is one.
 pub fn load(name: &str) -> Result<Display, PipelineError> {
     let Some((_, text)) = PRESETS.iter().find(|(preset, _)| *preset == name) else {
         return Err(PipelineError::UnknownDisplay {

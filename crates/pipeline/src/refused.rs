@@ -28,8 +28,8 @@ pub struct RefusedOutput {
 /// the same geometry.
 ///
 /// # Errors
-/// If a display of the job is wrong, the job's light field cannot be opened, or the task is
-/// cancelled.
+/// If a display of the job is wrong, the job's light field or a file in a plugin's parameters
+/// cannot be opened, or the task is cancelled.
 pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Vec<RefusedOutput>, PipelineError> {
     let job = plugin_files::resolved(job, registry)?;
     let job = match &job.sequence {

@@ -147,7 +147,8 @@ pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -
 /// whenever the objective is evaluated.
 ///
 /// # Errors
-/// If display, light field, weights and settings do not match, or the task is cancelled.
+/// If display, light field, weights and settings do not match, the job's device is not available or
+/// fails, or the task is cancelled.
 pub fn factorize_field(
     problem: &Problem<'_>,
     job: &FactorizeJob,

@@ -262,7 +262,7 @@ def test_jobs(tmp_path: Path) -> None:
 
 
 def test_warnings_are_warnings_of_python(display: Display) -> None:
-    # If all frames of the start are equal, they stay equal, which causes a warning of the solver.
+    # If all frames of the start are equal, the solver warns.
     equal = LayerStack([numpy.full(shape, 0.5, "f4") for shape in display.layer_shapes], display)
     field = LightField(numpy.full(display.light_field_shape, 0.2, "f4"), display=display)
     with pytest.warns(lumistack.LumistackWarning, match="warm start: all frames are equal"):

@@ -11,8 +11,8 @@ use crate::format::{self, figure};
 const BARS: usize = 60;
 /// Number of depths at which the bound on the spatial frequency is sampled.
 const CURVE_POINTS: usize = 241;
-/// Fraction of the depths at either end, and of the disparities at the upper end, that histograms
-/// omit.
+/// Largest fraction of the depths at either end, and of the disparities at the upper end, that
+/// histograms omit.
 const STRAY: f64 = 0.005;
 /// Smallest fraction of hits in the depth of field for which the report gives no advice. With a
 /// smaller fraction, the display does not suit the scene, or the window is misplaced.

@@ -58,9 +58,9 @@ pub struct DenoisedView {
     pub mean: f64,
     /// Mean of the picture after the filter minus `mean`.
     pub mean_change: [f64; 2],
-    /// Mean squared error of the picture before the filter.
+    /// Mean squared error of the picture before the filter; NaN if it was not measured.
     pub mse_before: [f64; 2],
-    /// Mean squared error of the picture after the filter.
+    /// Mean squared error of the picture after the filter; NaN if it was not measured.
     pub mse_after: [f64; 2],
 }
 
@@ -175,9 +175,9 @@ pub struct Report {
     pub psnr_zone: Option<f64>,
     /// PSNR of seen pictures over the worst tenth of the directions, dB.
     pub psnr_zone_worst: Option<f64>,
-    /// PSNR of all target rays, L̃/β against L, dB.
+    /// PSNR of all rays of the measured target views, L̃/β against L, dB.
     pub psnr_view: f64,
-    /// PSNR of all target rays, L̃ against βL, dB.
+    /// PSNR of all rays of the measured target views, L̃ against βL, dB.
     pub psnr_raw: f64,
     /// PSNR of L̃/β against L for the held-out views, dB.
     pub held_out_psnr_view: Option<f64>,

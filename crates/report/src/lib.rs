@@ -32,7 +32,7 @@
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_zone`, `psnr_zone_worst_tenth` | The main score: PSNR of seen pictures in dB, over directions in the whole zone, which no solver used. The second is over the worst tenth of the directions. Both are null without reference pictures |
 //! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), `ssim` and `flip`. The last two are means over the first eight directions, whose references show every pixel |
-//! | `psnr_view`, `psnr_raw` | dB, along the centre rays of the target views' pixels: the quality of the solver. Here and below, at most 7 views along an axis are measured |
+//! | `psnr_view`, `psnr_raw` | dB, along the centre rays of the target views' pixels: the quality of the solver. Here and in `light`, `views` and `limits`, at most 7 target views along an axis are measured |
 //! | `ssim`, `flip` | means over the measured target views |
 //! | `pixels_per_degree` | pixels per degree of visual angle, for FLIP |
 //! | `brightness` | β |
@@ -44,7 +44,7 @@
 //! | `depth` | null, or `depth_of_field_mm` ([low, high] or null) and three fractions of the rays with a hit. `inside` are inside the depth of field, `inside_middle` likewise in the central view, and `beyond_a_pixel` have a disparity above one pixel. Also the percentiles `depth_mm` and `disparity_px` (between neighbouring views), two histograms, and the numbers `window_moved_back_mm` and `depth_scale` |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
 //! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by that time |
-//! | `denoising` | null, or `name`, four numbers for all views together, and `views`, a list with the same numbers for each view. The numbers are `mean` (of the unbiased picture), `mean_change`, `mse_before` and `mse_after`, in exposed radiance. Each but `mean` is a pair of value and standard error. The mean squared errors are measured with samples that the filter never used |
+//! | `denoising` | null, or `name`, four numbers for all views together, and `views`, a list with the same numbers for each view. The numbers are `mean` (of the unbiased picture), `mean_change`, `mse_before` and `mse_after`, in exposed radiance. Each but `mean` is a pair of value and standard error. The mean squared errors are measured with samples that the filter never used, in some of the views; they are null in all other views |
 //! | `stages`, `seconds_total` | list of `name`, `seconds`, `cached` |
 //! | `display`, `settings`, `scene` | the display file, the resolved job, facts about the scene or null |
 //! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report), `failed` (null, or the reason) |
@@ -89,8 +89,8 @@ pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 /// Simulates the display and makes the report.
 ///
 /// # Errors
-/// If stack or weights do not match display and target, if a picture or a plot cannot be made, or
-/// if the task is cancelled.
+/// If stack or weights do not match display and target. If a picture, a plot or report.json cannot
+/// be made, or if the task is cancelled.
 pub fn build(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     input.stack.check(input.display)?;
     input.weights.check(input.target.geometry())?;

@@ -72,8 +72,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let targets = shown.len();
     let zone = input.zone.map(|zone| zone_looks(&judge, zone, &mut shown));
     // The large comparison shows the median direction of the zone, if there is one; `zone_looks`
-    // adds this direction last. Its rendered reference has more samples than a view of the target,
-    // so less noise.
+    // adds this direction last. Its rendered reference usually has more samples than a view of the
+    // target, so less noise.
     let median_of_zone = (shown.len() > targets).then(|| shown.len() - 1);
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {

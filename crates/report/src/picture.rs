@@ -123,7 +123,7 @@ pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(us
 }
 
 /// Returns the largest amplification of 1, 2, 5, 10, ... for which 99 of 100 errors stay within the
-/// range of the colours.
+/// range of the colours. Returns 1 if there is none.
 pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -> u32 {
     /// If the errors are smaller than this value, they are amplified as if they had this value, so
     /// that noise does not fill the picture.

@@ -13,7 +13,7 @@
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_view`, `psnr_raw`, `psnr_change`, `psnr_still` | dB over all time steps; null without compared rays |
 //! | `brightness` | β |
-//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start`, `psnr_start` (before the first iteration), `psnr_change`, `psnr_still`, `still_share` (fraction of rays with a constant target), `iterations`, `seconds` of the solver, `cached`. `start` is `"warm"` if the solver started from the stack of the previous time step, otherwise the name of the fresh start. `psnr_change`, `psnr_still` and `still_share` are null at the first time step |
+//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start`, `psnr_start` (before the first iteration), `psnr_change`, `psnr_still`, `still_share` (fraction of rays with a constant target), `iterations`, `seconds` of the solver, `cached`. `start` is `"warm"` if the solver started from the stack of the previous time step, otherwise the name of the fresh start, or empty if unknown. `psnr_change`, `psnr_still` and `still_share` are null at the first time step |
 //! | `nodes` | for a job with several nodes: list of `id` and the keys from `psnr_view` to `times` per node. The keys above then hold the values of the first node |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 
@@ -65,7 +65,7 @@ pub struct SequenceTime {
     /// The error `change` over rays with a constant target, if there are such rays.
     pub still: Option<SquaredError>,
     /// Start of the solver. It is "warm" if the solver started from the patterns of the previous
-    /// time step; otherwise it is the name of a fresh start.
+    /// time step; otherwise it is the name of a fresh start. Empty if unknown.
     pub start: String,
     /// PSNR before the first iteration, dB; NaN if unknown.
     pub psnr_start: f64,

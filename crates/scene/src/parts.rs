@@ -73,7 +73,7 @@ pub struct Instance {
 pub struct Light {
     /// Position in the scene; unused by directional and distant lights.
     pub position: Vec3,
-    /// Unit direction in which light travels; unused by point lights.
+    /// Unit direction in which light travels. Point lights do not use it, but it must not be zero.
     pub direction: Vec3,
     /// Linear RGB. For point and spot lights this is the radiant intensity (candela up to a
     /// factor). For directional and distant lights it is the irradiance (lux up to a factor).

@@ -225,7 +225,7 @@ impl Cloud {
     pub(crate) fn seen_bounds(&self, scene_from_cloud: Affine3A) -> Bounds {
         let points: Vec<Vec3> = self.positions.iter().map(|p| scene_from_cloud.transform_point3(*p)).collect();
         // Compute the area that each splat covers. The largest tenth of the splats are sky and
-        // haze, so their areas are limited to the largest of the other areas.
+        // haze, so their areas are limited to the smallest area of this tenth.
         let mut areas: Vec<f32> = self.scales.iter().map(|s| (s.x * s.y).max(s.y * s.z).max(s.z * s.x)).collect();
         let mut sorted = areas.clone();
         sorted.sort_by(f32::total_cmp);

@@ -1,5 +1,5 @@
 //! Validates [`SceneParts`] to a [`Scene`]: defects that prevent rendering are errors; other
-//! defects are repaired and reported.
+//! defects are repaired, most of them with a warning.
 
 use std::f32::consts::FRAC_PI_2;
 use std::ops::Deref;
@@ -100,12 +100,13 @@ impl Scene {
 
 impl SceneParts {
     /// Checks everything on which later stages rely, and generates missing normals and tangents.
-    /// Drops triangles without area, splats that are not Gaussians, copies with a scale of zero,
-    /// and cameras without a valid placement, with warnings.
+    /// Drops triangles without area, splats that are not Gaussians, copies whose placement has no
+    /// inverse, and cameras without a valid placement, with warnings.
     ///
     /// # Errors
-    /// If an index is out of range, if a list has the wrong length, or if a number is not finite
-    /// and cannot be repaired. Also if too many splats are placed, or if nothing remains to render.
+    /// If an index is out of range, if a list has the wrong length, or if a number is not finite or
+    /// out of its range and cannot be repaired. Also if the environment's image has no linear
+    /// radiance, if too many splats are placed, or if nothing remains to render.
     pub fn validate(mut self, task: Task<'_>) -> Result<Scene, SceneError> {
         self.check_images()?;
         self.check_materials(task)?;
@@ -192,7 +193,10 @@ impl SceneParts {
         self.placed_clouds.retain(|placed| {
             let keep = is_invertible(&placed.scene_from_cloud);
             if !keep {
-                task.warn(&clouds[placed.cloud].place, "a copy has a scale of zero and is left out");
+                task.warn(
+                    &clouds[placed.cloud].place,
+                    "a copy is left out, since its placement has no inverse, as with a scale of zero",
+                );
             }
             keep && !clouds[placed.cloud].is_empty()
         });
@@ -342,7 +346,10 @@ impl SceneParts {
         self.instances.retain(|instance| {
             let keep = is_invertible(&instance.scene_from_mesh);
             if !keep {
-                task.warn(&meshes[instance.mesh].place, "a copy has a scale of zero and is left out");
+                task.warn(
+                    &meshes[instance.mesh].place,
+                    "a copy is left out, since its placement has no inverse, as with a scale of zero",
+                );
             }
             keep && !meshes[instance.mesh].triangles.is_empty()
         });
@@ -484,7 +491,8 @@ fn face_normal(positions: &[Vec3], triangle: [u32; 3]) -> Option<Vec3> {
     (u / scale).cross(v / scale).try_normalize().map(|n| n.as_vec3())
 }
 
-/// Replaces normals without a direction by the mean normal of the faces around the vertex.
+/// Replaces normals without a direction by the mean normal of the faces around the vertex, and
+/// normalizes all other normals.
 fn mend_normals(mesh: &mut Mesh, task: Task<'_>) {
     let broken: Vec<usize> = (0..mesh.normals.len()).filter(|&i| mesh.normals[i].try_normalize().is_none()).collect();
     for normal in &mut mesh.normals {

@@ -26,7 +26,7 @@ impl Depths {
     /// Traces the central rays of [`coarse`](Self::coarse) pixels.
     ///
     /// # Errors
-    /// When cancelled.
+    /// When the geometry is out of range, or when cancelled.
     pub fn trace(
         renderer: &SceneRenderer,
         window: &Window,

@@ -8,7 +8,7 @@ use crate::error::ShotError;
 /// Applies `change` to the parts of a scene and validates the result.
 ///
 /// # Errors
-/// When the changed scene is not valid.
+/// If `change` fails, or if the changed scene is not valid.
 pub fn edited<E: From<ShotError>>(
     scene: Scene,
     task: Task<'_>,

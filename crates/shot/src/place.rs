@@ -376,7 +376,7 @@ mod tests {
 
     #[test]
     fn a_deep_scene_is_placed_where_most_of_it_is_shown() {
-        // nine tenths of the depths are between −310 and −210 mm, and the rest is far behind
+        // 1000 of the 1100 depths are between −310 and −210 mm, and the rest is far behind
         let mut depths = evenly(-310.0, -210.0);
         depths.extend(evenly(-2000.0, -1500.0).iter().step_by(10));
         depths.sort_by(f64::total_cmp);
@@ -424,7 +424,8 @@ mod tests {
         assert!((squeezed.depth_scale * 158.8 - 80.0).abs() < 0.2, "{squeezed:?}");
     }
 
-    /// A subject of 120 mm depth stands before a backdrop that is 50 m away in display space.
+    /// A subject of at most 120 mm depth stands before a backdrop that is 50 m away in display
+    /// space.
     #[test]
     fn a_far_backdrop_does_not_flatten_the_subject() {
         for backdrop in [0.08, 0.3, 0.6] {
@@ -436,8 +437,8 @@ mod tests {
                 for projection in [Projection::Oblique, PERSPECTIVE] {
                     let fit = best_fit(&depths, RANGE, projection, 1.0, means);
                     let name = format!("{backdrop} {means:?} {projection:?} {fit:?}");
-                    // Perspective itself compresses depth behind the window, so a scale of a fifth
-                    // suffices for all content in perspective views.
+                    // Perspective itself compresses depth behind the window, so a scale of about an
+                    // eighth suffices for all content in perspective views.
                     if projection == Projection::Oblique {
                         assert!(fit.depth_scale > 0.7, "{name}");
                         assert!(fit.outside < backdrop + 0.03, "{name}");

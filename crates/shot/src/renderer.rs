@@ -48,9 +48,9 @@ impl SceneRenderer {
         Ok(Self { tracer, splats: Splats::new(scene), has_surfaces })
     }
 
-    /// Returns z of the first surface or splat along the central ray of every pixel of a view,
-    /// `[row][col]`. The depth is in display space, mm, and NaN where the ray hits neither surface
-    /// nor splat.
+    /// Returns z in display space, mm, on the central ray of every pixel of a view, `[row][col]`.
+    /// It is z of the splat at which the transmittance falls below one half, or else of the first
+    /// surface. NaN where the ray has neither.
     ///
     /// # Errors
     /// When the geometry or the view is out of range, or when cancelled.

@@ -127,10 +127,10 @@ fn is_display_referred(scene: &Scene) -> bool {
 /// Computes the factor that exposes the brightest hundredth of the surfaces to [`WHITE`] or more,
 /// before the tone curve.
 ///
-/// If most surfaces would stay dark, half of them are shown above [`MIDDLE`] instead, with at most
-/// a twentieth above [`WHITE`]. Percentiles ignore single bright samples. Rays that miss all
-/// surfaces are used only if surfaces fill too little of the views. In front of the studio light's
-/// ground (`on_ground`) such rays are used only if there are no surfaces.
+/// If most surfaces would stay dark, the factor is raised until half of them are shown above
+/// [`MIDDLE`], or a twentieth above [`WHITE`]. Percentiles ignore single bright samples. Rays that
+/// miss all surfaces are used only if surfaces fill too little of the views. In front of the studio
+/// light's ground (`on_ground`) such rays are used only if there are no surfaces.
 fn exposure_of(brightest: &[(f32, bool)], on_ground: bool, curve: ToneCurve) -> f64 {
     let surfaces = brightest.iter().filter(|(_, surface)| *surface).count();
     let least = if on_ground { f64::MIN_POSITIVE } else { LEAST_SURFACE * brightest.len() as f64 };

@@ -42,8 +42,8 @@ pub trait Lanes: Copy {
     /// Returns addend − self · factor, rounded as [`mul_add`](Self::mul_add).
     unsafe fn neg_mul_add(self, factor: Self, addend: Self) -> Self;
     /// Returns self · factor + addend. All machines except WebAssembly round the result once, so
-    /// they give the same bits. Machines without a fused multiply-add call a library function for
-    /// each lane.
+    /// they give the same bits. [`Portable`](crate::Portable) may call a library function for each
+    /// lane.
     unsafe fn fused_mul_add(self, factor: Self, addend: Self) -> Self;
     /// Returns addend − self · factor, rounded as [`fused_mul_add`](Self::fused_mul_add).
     unsafe fn fused_neg_mul_add(self, factor: Self, addend: Self) -> Self;

@@ -31,7 +31,8 @@ SHAPING = {"shaping:cone:angle": 90.0, "shaping:cone:softness": 0.0, "shaping:fo
 
 
 def light(prim, writer, time):
-    """Returns the entry of a light, or None if the prim is not a light."""
+    """Returns the entry of a light. None for other prims, for shapes that emit light, and for
+    lights of unsupported types."""
     if not prim.HasAPI(UsdLux.LightAPI):
         return None
     name = str(prim.GetTypeName())

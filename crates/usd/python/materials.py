@@ -58,7 +58,7 @@ def material(prim, writer, time):
                 if found is not None and found is not UNKNOWN:
                     entry["inputs"][given.GetBaseName()] = found
             if graph.unknown:
-                what = "nodes that are not supported: %s. Inputs that depend on these nodes keep their defaults; a mix whose amount is not constant uses half of each of its two inputs"
+                what = "nodes that are not supported: %s. Inputs that depend on these nodes keep their defaults; a mix of two constants by an amount that is not constant uses half of each"
                 writer.warn(prim.GetPath(), what % ", ".join(sorted(graph.unknown)))
             return entry
         if kind not in unknown:
@@ -92,7 +92,7 @@ def needs_materialx(prim):
 
 
 def numbers(value):
-    """Returns a value as a list of floats, or None if it is not numeric."""
+    """Returns a number or a vector of floats as a list, or None for a value of another type."""
     if isinstance(value, (bool, int, float)):
         return [float(value)]
     if isinstance(value, (Gf.Vec2f, Gf.Vec3f, Gf.Vec4f, Gf.Vec2d, Gf.Vec3d, Gf.Vec4d, Gf.Vec2h, Gf.Vec3h, Gf.Vec4h)):
@@ -101,8 +101,8 @@ def numbers(value):
 
 
 def linear(values, space):
-    """Converts a constant colour from sRGB or ACEScg to linear Rec. 709. Colours of other spaces stay
-    unchanged."""
+    """Converts a constant colour from a space in SRGB or from ACEScg to linear Rec. 709. All spaces
+    in SRGB get the curve of sRGB. Colours of other spaces stay unchanged."""
     if space in SRGB:
         return [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values[:3]] + values[3:]
     if space in ("acescg", "lin_ap1", "lin_ap1_scene") and len(values) >= 3:

@@ -136,7 +136,8 @@ def choose_variants(stage, wanted, writer):
         path, _, rest = text.rpartition("{")
         name, _, variant = rest.rstrip("}").partition("=")
         found, known = False, {}
-        # A variant may add prims with further variants, so repeat until nothing changes.
+        # A variant may add prims with further variants. So repeat until nothing changes, at most 8
+        # times.
         for _ in range(8):
             changed = False
             for prim, set_name, choices, selection in list(variant_sets(stage)):
@@ -154,7 +155,7 @@ def choose_variants(stage, wanted, writer):
             if not changed:
                 break
         else:
-            writer.warn(text, "the chosen variants added further variant sets more than eight times; the variant sets that were added last may keep the file's own variants")
+            writer.warn(text, "each of eight searches of the stage selected the variant on more prims; variant sets that the last selection added may keep the file's own variants")
         if not found:
             shown = list(known.values())
             listed = "; ".join(shown[:12]) + ("; and %d more" % (len(shown) - 12) if len(shown) > 12 else "")
@@ -278,8 +279,8 @@ class Walker:
         return placed
 
     def attempt(self, read, prim, *rest):
-        """Returns the result of `read` for a prim. If a value has a wrong type, the prim is left
-        out with a warning, and other prims stay."""
+        """Returns the result of `read` for a prim. If `read` fails, for example at a value of a
+        wrong type, warns and returns None."""
         try:
             return read(prim, *rest)
         except (Tf.ErrorException, TypeError, ValueError, OverflowError) as error:
@@ -401,7 +402,7 @@ class Walker:
         instancer = UsdGeom.PointInstancer(prim)
         place = prim.GetPath()
         if place in self.open_frames:
-            self.writer.warn(place, "the instancer is its own prototype and is left out")
+            self.writer.warn(place, "the instancer is part of its own prototype and is left out")
             return []
         # Compute the matrix of every copy.
         indices = instancer.GetProtoIndicesAttr().Get(self.time)

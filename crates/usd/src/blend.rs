@@ -98,7 +98,8 @@ pub struct BlendAccount {
 /// stands for the saved frame. The warnings are in [`BlendAccount::warnings`].
 ///
 /// # Errors
-/// If no Blender is found, Blender refuses the file or fails, or the task is cancelled.
+/// If the file cannot be opened, its path is not UTF-8, no Blender is found, Blender refuses the
+/// file or fails, or the task is cancelled.
 pub fn hand_over(path: &Path, time_s: Option<f64>, task: Task<'_>) -> Result<HandedOver, UsdError> {
     let folder = temporary()?;
     let account = ask(&Request::new(path, time_s, false)?, folder.path(), task.cancel)?;
@@ -109,7 +110,7 @@ pub fn hand_over(path: &Path, time_s: Option<f64>, task: Task<'_>) -> Result<Han
 
 /// Returns a text that identifies the programs that may export a file, and the code that they run.
 /// An export gives the same result if this text, [`BlendAccount::program`], the `.blend` file and
-/// [`BlendAccount::files`] are unchanged.
+/// [`BlendAccount::files`] are unchanged, and [`BlendAccount::untracked`] is `None`.
 pub fn blend_surroundings() -> String {
     let found: Vec<String> = candidates()
         .iter()
@@ -346,7 +347,8 @@ fn ask_program(
     }
 }
 
-/// Returns true for a Python, which runs the script without a flag.
+/// Returns true if the program's name begins with "py". Such a program is a Python, which runs the
+/// script without a flag.
 pub(crate) fn is_python(program: &Path) -> bool {
     program.file_name().is_some_and(|name| name.to_string_lossy().to_ascii_lowercase().starts_with("py"))
 }

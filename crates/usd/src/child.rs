@@ -1,9 +1,9 @@
 //! Runs the walker (the Python code that reads a stage) in the user's Python, and reads the scene
 //! package that the walker writes.
 //!
-//! The Python runs as a child process. Its standard output is a file without a name, so no file is
-//! left if the parent or the child dies. The request is JSON and contains the walker's source. The
-//! end of standard error is kept for error messages.
+//! The Python runs as a child process. Its standard output is a temporary file, which the system
+//! removes even if the parent or the child dies. The request is JSON and contains the walker's
+//! source. The end of standard error is kept for error messages.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -133,7 +133,8 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     let failed = |found| Failed::Final(UsdError::Child { file: request.path.into(), python: python.clone(), found });
     let answer = Answer { file: map(&file).map_err(io)?, python: python.clone() };
     if answer.file.is_none() && status.code().is_some_and(|code| code != 0) {
-        // Without output, the boot script did not run, or this Python could not parse it.
+        // The boot script did not run, or failed before it wrote output. This Python may be unable
+        // to parse the script, or to import a module.
         return Err(Failed::Unfit(ended(status, &said)));
     }
     if !status.success() {
@@ -203,8 +204,8 @@ fn map(file: &File) -> std::io::Result<Option<Mmap>> {
     if file.metadata()?.len() == 0 {
         return Ok(None);
     }
-    // SAFETY: nothing changes the file, since it has no name, and the only other process that had
-    // it open has ended
+    // SAFETY: nothing changes the file, since no other process can open this temporary file, and
+    // the child that had it open has ended
     unsafe { Mmap::map(file) }.map(Some)
 }
 

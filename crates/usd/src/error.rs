@@ -68,7 +68,7 @@ pub enum UsdError {
     Malformed {
         /// The file as the caller named it.
         file: String,
-        /// Path of the prim, and name of the attribute.
+        /// Path of the prim, often with an attribute's name; or another part of the scene.
         place: String,
         /// The expected value.
         expected: String,
@@ -86,9 +86,9 @@ pub enum UsdError {
     /// Setting up a Python failed.
     #[error("setup: expected {expected}, found {found}")]
     Setup {
-        /// Description of the step that should have succeeded.
+        /// The program, folder or step that the setup needs.
         expected: String,
-        /// The reason why the step failed.
+        /// The reason why it is missing, or why the step failed.
         found: String,
     },
     /// The task was cancelled.

@@ -81,7 +81,7 @@ pub struct Loaded {
     pub files: Vec<PathBuf>,
 }
 
-/// Returns the Pythons that are tried, in this order, and where each was found.
+/// Returns the Pythons that are tried, in this order, each with the source of its path.
 pub fn pythons() -> Vec<(PathBuf, &'static str)> {
     let candidates = python::Surroundings::of_system().candidates().into_iter();
     candidates.map(|candidate| (candidate.program, candidate.from)).collect()
@@ -90,8 +90,9 @@ pub fn pythons() -> Vec<(PathBuf, &'static str)> {
 /// Loads a USD file.
 ///
 /// # Errors
-/// [`UsdError`] if the file cannot be opened, if no Python has OpenUSD, or if OpenUSD or the walker
-/// fails. Also if nothing in the file can be rendered, or if the task is cancelled.
+/// [`UsdError`] if the file cannot be opened, if its path is not UTF-8, if no Python has OpenUSD,
+/// or if OpenUSD or the walker fails. Also if nothing in the file can be rendered, or if the task
+/// is cancelled.
 pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded, UsdError> {
     let name = file_name(path)?;
     let LoadOptions { time_s, variants } = options;
@@ -112,7 +113,7 @@ pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded
 /// and points.
 ///
 /// # Errors
-/// The errors of [`load`].
+/// The errors of [`load`], except that a file may have nothing that can be rendered.
 pub fn contents(path: &Path, task: Task<'_>) -> Result<Contents, UsdError> {
     let name = file_name(path)?;
     let request = child::Request { path: name, time_s: None, variants: &[], contents_only: true };

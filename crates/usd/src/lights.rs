@@ -6,7 +6,7 @@
 //! requests visible lights.
 //!
 //! * A distant light of angle 2θ has radiance L in a cone, so its irradiance is L π sin²θ. If it is
-//!   normalized, its irradiance is L.
+//!   normalized, or its angle is 0, its irradiance is L.
 //! * A sphere that is treated as a point, or that has a cone, has the intensity L π r².
 //! * A disc or rectangle with a cone is a spot light of intensity L · area.
 //! * A dome is the environment. In USD's picture the centre shows +z, and the right half shows −x,
@@ -85,7 +85,7 @@ pub(crate) struct Lights {
 }
 
 impl Lights {
-    /// Adds the light of an entry, or warns with the reason why it is left out.
+    /// Adds the light of an entry. Warns if the light is left out, unless it is black.
     pub(crate) fn add(
         &mut self,
         entry: &serde_json::Value,

@@ -11,9 +11,9 @@ use std::panic::AssertUnwindSafe;
 use exr::prelude::{Compression, FlatSamples, MetaData, ReadChannels, ReadLayers, read as read_exr};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
-/// Largest width or height of a picture, in texels.
+/// Largest width or height of a picture, in texels. OpenEXR pictures have no such limit.
 const MOST_TEXELS_A_SIDE: u32 = 1 << 15;
-/// Largest memory that decoding one picture may take, in bytes.
+/// Largest size of a picture in memory, in bytes, at 16 bytes per texel.
 const MOST_BYTES: u64 = 2 << 30;
 /// Smallest size of a block of compressed pixels, bytes. If the header declares more blocks than
 /// fit into the file, the file is refused.

@@ -1,5 +1,5 @@
-//! A checked polygon mesh of a scene package: every index is in range, and every list has the right
-//! length.
+//! A checked polygon mesh of a scene package: indices of points and of values are in range, and
+//! every attribute has a value for each of its elements.
 
 use crate::error::Fault;
 use crate::package::{MeshEntry, Package, Primvar};
@@ -83,7 +83,7 @@ pub(crate) type UvNames<'a> = [Option<&'a str>; 2];
 /// Reads a mesh; `warn` receives a message for each primvar that is left out.
 ///
 /// # Errors
-/// If the topology is inconsistent, or a coordinate is not finite.
+/// If an array cannot be read, if the topology is inconsistent, or if a coordinate is not finite.
 pub(crate) fn read(
     package: &Package<'_>,
     entry: &MeshEntry,

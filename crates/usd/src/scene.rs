@@ -36,7 +36,7 @@ const GREY: f32 = 0.18;
 /// Converts a scene package to a scene; `name` is the file's name in messages.
 ///
 /// # Errors
-/// If the package is inconsistent or nothing in it can be rendered.
+/// If the package is inconsistent, if nothing in it can be rendered, or if the task is cancelled.
 pub fn scene_from_package(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, UsdError> {
     let warnings = InFile { name, inner: task.warnings };
     let task = Task { warnings: &warnings, ..task };
@@ -273,7 +273,7 @@ impl<'a> Assembly<'a> {
         let total = copies.and_then(|copies| copies.checked_mul(shown.len())?.checked_add(there));
         if total.is_none_or(|total| total > MOST_INSTANCES) {
             let found =
-                format!("more (levels of nested instancers: {}); use fewer copies or fewer levels", links.len());
+                format!("more (transforms in the chain: {}); use fewer copies or fewer nested instancers", links.len());
             return Err(Fault::new(place, format!("at most {MOST_INSTANCES} instances and splat clouds"), found));
         }
         // Add an instance for every combination of one matrix from each link.
@@ -371,7 +371,8 @@ impl<'a> Assembly<'a> {
         Ok((0..matrices.len()).filter(|&i| is_shown(i)).map(|i| affine(&matrices[i])).collect())
     }
 
-    /// Makes the meshes of a shape, one for each material that its faces use.
+    /// Makes the meshes of a shape: one for each subset that has faces, and one for all other
+    /// faces.
     fn meshes(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let Shape::Mesh(entry) = shape else {
             return match self.other(shape, materials) {
@@ -505,8 +506,8 @@ impl<'a> Assembly<'a> {
         Ok(Some(slots))
     }
 
-    /// Returns the index of a material for a mesh to which the file binds no material. The `bool`
-    /// is true if vertex colours multiply the material's colour.
+    /// Returns the index of a material for a shape that has no material, or whose material could
+    /// not be converted. The `bool` is true if vertex colours multiply the material's colour.
     fn plain(&mut self, polygons: &Polygons) -> (usize, bool) {
         let constant = |interpolation| interpolation == Interpolation::Constant;
         let color = polygons.colors.as_ref();

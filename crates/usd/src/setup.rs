@@ -32,7 +32,7 @@ pub struct Setup {
 
 impl Setup {
     /// Creates the environment anew, and returns its interpreter. `say` receives lines of progress,
-    /// among them every line that pip prints.
+    /// among them the lines that pip prints to standard output.
     ///
     /// # Errors
     /// If no Python or no data folder is found, if a step fails, or if the setup is cancelled. If a
@@ -101,8 +101,8 @@ impl Setup {
     }
 }
 
-/// Runs a program to its end. Returns its output, or its failure. `line` is called with every line
-/// as soon as it is printed.
+/// Runs a program to its end. Returns its standard output, or its failure. `line` is called with
+/// each line of standard output while the program runs. Output after the first MiB is not read.
 pub(crate) fn run(
     command: &mut Command,
     line: &mut dyn FnMut(&str),

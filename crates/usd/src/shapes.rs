@@ -17,8 +17,8 @@ const CURVES: Rule = Rule { of_spacing: 0.25, largest: 0.005, smallest: 0.0001 }
 /// Rule for the width of points without widths. With this rule, the balls of neighbouring points
 /// nearly touch.
 const POINTS: Rule = Rule { of_spacing: 0.75, largest: 0.02, smallest: 0.0001 };
-/// Width, in scene units, of curves or points without widths. It applies if all points coincide, so
-/// that they have no spacing.
+/// Width, in units of the prim's space, of curves or points without widths. It applies if all
+/// points coincide, so that they have no spacing.
 const WIDTH: f32 = 1.0;
 /// Largest number of points of a prim that are shown: each becomes a ball of 128 triangles.
 const MOST_POINTS: usize = 1 << 18;

@@ -41,8 +41,8 @@ pub(crate) struct Source {
 }
 
 impl Source {
-    /// Returns true if the source has one to four channels, lists of this length, and finite
-    /// numbers.
+    /// Returns true if the source has one to four channels with indices below 4, lists of this
+    /// length, and finite numbers.
     pub(crate) fn is_sound(&self) -> bool {
         let count = self.channels.len();
         let finite = |list: &[f32]| list.iter().all(|value| value.is_finite());
@@ -420,7 +420,7 @@ fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
         let value = |reader: &Reader<'_>| reader.at(i % width, i / width, width, height);
         [value(&readers[0]), value(&readers[1]), value(&readers[2]), value(&readers[3])]
     });
-    // Keep the precision of the deepest source.
+    // Find the depth of the sources, and whether a scale or bias may raise values above 1.
     let all: Vec<&Texels> = readers.iter().filter_map(|reader| Some(&reader.picture?.0.texels)).collect();
     let is_float = all.iter().any(|texels| matches!(texels, Texels::Float(_)));
     let is_deep = all.iter().any(|texels| !matches!(texels, Texels::Codes8(_)));

@@ -70,8 +70,7 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
     builder.film(1.0, inputs.number("thin_film_thickness", 0.0), inputs.number("thin_film_IOR", 1.5));
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [0.0]));
     builder.material.normal_texture = builder.normal(&normal);
-    // Read these inputs, so that no warning lists them. They have no effect, or have an effect only
-    // together with inputs in the following list.
+    // read these inputs, so that no warning lists them; they have no effect
     for name in ["subsurface_radius", "subsurface_scale", "subsurface_anisotropy", "tangent"] {
         inputs.text(name);
     }

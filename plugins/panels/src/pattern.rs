@@ -111,9 +111,10 @@ pub fn crosses(display: &Display) -> [usize; 2] {
 
 impl Pattern {
     /// Returns the codes `[row][col][red, green, blue, 255]` of the output that drives the panel
-    /// `shows`. With `only`, all layers except `only` are clear, and the crosses on `only` are
-    /// black. The patterns [`Self::Lenslet`] and [`Self::View`] ignore `only`. `eye_mm` is the eye
-    /// position for which the crosses coincide, in display space, millimetres.
+    /// `shows`. With `only`, all layers except `only` are clear. The crosses on `only` are black,
+    /// or white if layers do not attenuate. The patterns [`Self::Lenslet`] and [`Self::View`]
+    /// ignore `only`. `eye_mm` is the eye position for which the crosses coincide, in display
+    /// space, millimetres.
     ///
     /// # Errors
     /// If the display has no such lenslet or bin.
@@ -213,8 +214,8 @@ impl Pattern {
                 Self::Identify => picture.encode([mixed(label.at(u, v)); 3]),
                 _ => {
                     let share = place.mm(at).map_or(0.0, |mm| crosses.share(mm));
-                    // A cross of the panel `only` is black. Without `only`, the crosses of each
-                    // layer absorb two of the three channels.
+                    // On attenuating layers, a cross of the panel `only` is black. Without `only`,
+                    // the crosses of each layer absorb two of the three channels.
                     let kept = if only.is_some() { 3 } else { layer % 3 };
                     picture.encode([0, 1, 2].map(|c| if c == kept { neutral } else { mixed(share) }))
                 }
@@ -248,8 +249,8 @@ impl Crosses {
         Self { eye_mm, spread, spacing_mm, counts: crosses(display), pixel_mm: pitch_mm * spread }
     }
 
-    /// Returns the fraction of a pixel that crosses cover, 0 to 1. `mm` is the pixel's position on
-    /// the layer.
+    /// Returns the fraction of a pixel that crosses and the central mark cover, 0 to 1. `mm` is the
+    /// pixel's position on the layer.
     fn share(&self, mm: [f64; 2]) -> f32 {
         let on_plane = [0, 1].map(|axis| self.eye_mm[axis] + (mm[axis] - self.eye_mm[axis]) * self.spread);
         let nearest = on_plane.map(|at| (at / self.spacing_mm).round());

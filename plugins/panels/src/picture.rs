@@ -153,7 +153,7 @@ impl Picture {
     /// sequence, `colour` selects the channel that all three channels show.
     ///
     /// # Panics
-    /// If the stack does not match the display of [`Self::new`].
+    /// If the stack does not match the display of [`Self::new`], or has no such frame.
     pub fn codes(&self, stack: &LayerStack, frame: usize, colour: Option<usize>) -> Vec<u8> {
         let code = |rgb: [f32; 3]| {
             let codes = self.encoder.codes(rgb);

@@ -82,11 +82,12 @@ pub enum Command {
     /// stack as data, so this command has no JSON.
     #[serde(skip)]
     Stack(LayerStack),
-    /// Show only this frame.
+    /// Show only this frame; in a colour sequence, show only the frame's first colour.
     Hold(usize),
     /// Show all frames one after another.
     Run,
-    /// Show a later (positive) or earlier (negative) frame, relative to the frame that is held.
+    /// Show a later (positive) or earlier (negative) frame, relative to the frame that is held. If
+    /// no frame is held, count from frame 0.
     Step(i64),
     /// Shift a panel's picture by [right, down] panel pixels.
     Nudge(Shows, [f64; 2]),

@@ -21,9 +21,9 @@ pub struct Tally {
     pub late: u64,
     /// Number of intervals in which a panel repeated a frame, since the next refresh was late.
     pub repeated: u64,
-    /// Number of refreshes that were submitted but never presented.
+    /// Number of refresh numbers that were skipped between two successive presentations.
     pub dropped: u64,
-    /// Number of refreshes that were presented after a refresh with a larger number.
+    /// Number of refreshes that were presented directly after a refresh with a larger number.
     pub out_of_order: u64,
 }
 

@@ -1,4 +1,4 @@
-//! Tests that panels lose no frame while a solver stalls.
+//! Tests that panels continue while a solver stalls.
 
 #![cfg(feature = "window")]
 

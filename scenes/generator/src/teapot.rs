@@ -25,7 +25,7 @@ const RIM_PATCHES: std::ops::Range<usize> = 0..4;
 const LID_EDGE_PATCHES: std::ops::Range<usize> = 24..28;
 
 /// Makes the teapot. The centre of its foot is the origin, y points up, and the spout points to +x.
-/// `scale` is in metres per unit of the data set, in which the pot is 3.15 high and 6.5 long. Each
+/// `scale` is in metres per unit of the data set, in which the pot is 3.15 high and 6.4 long. Each
 /// patch has `divisions` x `divisions` cells.
 ///
 /// In the data set a ring between lid and rim is open. Here it is closed, so that the inside is not

@@ -26,7 +26,7 @@ const PACKAGES: [&str; 6] = [
     "lumistack-cli/panels,lumistack-python/panels",
 ];
 
-/// A kind of machine that releases support.
+/// A kind of machine for which programs and wheels are built.
 #[derive(Clone, Copy)]
 pub struct Target {
     /// Rust's name of the target.

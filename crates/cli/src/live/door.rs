@@ -159,7 +159,7 @@ impl Door {
     }
 
     /// Attaches the program if its first line has the token and no other program is attached.
-    /// Otherwise sends the program one message.
+    /// Otherwise sends the program one message. If no line arrives in time, sends nothing.
     fn greet(&self, program: &TcpStream, requests: &Arc<Requests>, events: &Arc<Events>) -> io::Result<()> {
         // on some systems, a connection inherits the non-blocking mode of the listening socket
         program.set_nonblocking(false)?;

@@ -16,8 +16,8 @@ use crate::cases::Case;
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
 
-/// Time to wait after each request. Threads of a library may spin after their work, and would slow
-/// the next timing.
+/// Time to wait after each timed update. Threads of a library may spin after their work, and would
+/// slow the next timing.
 const PAUSE: Duration = Duration::from_millis(30);
 
 /// The process of a library.

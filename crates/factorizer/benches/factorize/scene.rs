@@ -3,8 +3,8 @@
 //!
 //! Units are millimetres of display space, for a display 473.76 mm wide. A wall stands at z = −170.
 //! A checkerboard slopes down from the wall to the viewer, through the display plane to z = 100.
-//! Three balls (plastic, brushed metal, mirror) lie on the checkerboard, and their highlights move
-//! with the view. Thin posts stand in front.
+//! Three balls (plastic, brushed metal, mirror) are partly sunk into the checkerboard, and their
+//! highlights move with the view. Thin posts stand in front.
 //!
 //! A ray is (x, y, 0) + z (s_x, s_y, 1), and the viewer sees the hit with the largest z. The code
 //! calls no transcendental functions, since their last bits differ between machines.

@@ -188,8 +188,7 @@ fn black_patterns_are_a_start_like_any_other() {
     for iterations in [1, 5] {
         let settings = Settings { solver: "block-exact".into(), iterations, ..Settings::default() };
         let (_, psnr) = solve(&owned, &settings, Some(&black));
-        // All frames stay equal. So the half that is not black looks no better than on a display
-        // with one frame.
+        // The limit is low, since all frames start equal and there are few iterations.
         assert!(psnr > 12.0, "{psnr} dB after {iterations} iterations from black");
     }
     // a mask that was black in one time step becomes bright in the next

@@ -120,8 +120,8 @@ pub struct Attribute {
     pub component: Result<ComponentType, String>,
     /// Number of components of an element, such as 3 for a position.
     pub dimensions: usize,
-    /// The elements, or the index of the first vertex that has none. The list is empty if the mesh
-    /// would exceed its limit of bytes.
+    /// The elements, or the index of the first vertex that has none. The list is empty if glTF does
+    /// not have the type of the components, or if the mesh would exceed its limit of bytes.
     pub elements: Result<Vec<u8>, u32>,
 }
 

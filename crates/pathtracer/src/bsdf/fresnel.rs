@@ -103,7 +103,7 @@ impl Film {
         let r23 = (base_ior / ior).map(|ratio| schlick(normal_reflectance(ratio), cos_film));
         // As seen from inside the film, this code shifts the phase by π at an interface whose far
         // medium is less dense. In nature, a denser far medium shifts it. The two rules differ by π
-        // at each of the two interfaces, so by 2π in total, which has no effect.
+        // or −π at each of the two interfaces. In total this is 0 or 2π, which has no effect.
         let phase = base_ior.map(|base| PI + if base < ior { PI } else { 0.0 });
         let round_trip = (r12 * r23).clamp(Vec3::splat(1e-5), Vec3::splat(0.9999));
         let decay = round_trip.map(f32::sqrt);

@@ -1,11 +1,11 @@
 //! The interface between air and a solid, which reflects and refracts light.
 //!
-//! The formulas are those of Walter et al. 2007, with Fresnel's exact term F. The symbols D, V, G₂,
-//! h, o and i are defined in [`ggx`]. The symbol η is the index of refraction on the far side
-//! divided by the index on the viewer's side.
+//! The formulas for f |i_z| are those of Walter et al. 2007, with Fresnel's exact term F. The
+//! symbols D, V, G₂, h, o and i are defined in [`ggx`]. The symbol η is the index of refraction on
+//! the far side divided by the index on the viewer's side.
 //!
 //! ```text
-//! reflection     F D V
+//! reflection     F D V |i_z|
 //! transmission   (1 − F) D G₂ |o·h| J / |o_z|,   J = η² |i·h| / (o·h + η i·h)²
 //! ```
 //!

@@ -324,7 +324,8 @@ fn lossless_layers_return_all_light() {
     }
 }
 
-/// Each sample has the weight and density that evaluation returns for its direction.
+/// Each sample of a rough lobe has the weight and density that evaluation returns for its
+/// direction.
 #[test]
 fn sampling_and_evaluation_agree() {
     for (name, surface) in surfaces() {

@@ -108,7 +108,7 @@ fn traversal_agrees_with_testing_every_triangle() {
 #[test]
 fn a_closed_surface_has_no_cracks() {
     // a finely divided, bumpy sphere seen from inside: every ray must hit, also through vertices
-    // and along edges
+    // and edges
     let (rows, cols) = (40, 60);
     let point = |row: usize, col: usize| {
         let (theta, phi) = (

@@ -183,10 +183,10 @@ impl Bvh {
         unsafe { self.backend.call_eight::<Nearest<_>>((self, ray, stack, accept, found)) }
     }
 
-    /// Returns the product of `transmittance` over all triangles that the segment crosses.
-    /// `transmittance` is called only for triangles with flags other than [`CULL_BACK`], at most
-    /// once for each triangle and instance. All other triangles are opaque. The traversal stops
-    /// when the product is zero.
+    /// Returns the product of `transmittance` over all triangles that the segment crosses, except
+    /// the invisible backs of [`CULL_BACK`] triangles. `transmittance` is called only for triangles
+    /// with flags other than [`CULL_BACK`], at most once for each triangle and instance. All other
+    /// triangles are opaque. The traversal stops when the product is zero.
     #[inline]
     pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
         // SAFETY: the kernel makes no demands

@@ -166,7 +166,7 @@ impl<'a> SharedLight<'a> {
     /// also keeps the points of one view in memory.
     ///
     /// # Errors
-    /// If the storage is full.
+    /// If the storage cannot create the arrays, for example because it is full.
     pub fn in_storage(geometry: &'a FieldGeometry, settings: &Settings, storage: &Storage) -> io::Result<Self> {
         let rays = geometry.grid.iter().count() * geometry.rows * geometry.cols;
         let (points, light) = (Array::zeros(rays, Some(storage))?, Array::zeros(rays, Some(storage))?);

@@ -149,7 +149,7 @@ impl EnvironmentLight {
         self.row_choice.probability(row) * columns.probability(column) / ((u1 - u0) * (v1 - v0))
     }
 
-    /// Returns the integral of magnitude · sin θ du dv over a cell.
+    /// Returns the integral of (magnitude above `floor`) · sin θ du dv over a cell.
     fn cell_weight(&self, row: usize, column: usize) -> f64 {
         let mut sum = 0.0;
         let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
@@ -320,7 +320,7 @@ mod tests {
         // standard error of `uniform` would be 3.2 times as large. `important` must have less than
         // half of this error.
         assert!(important.standard_error < 0.5 * 3.2 * uniform.standard_error, "{important:?} {uniform:?}");
-        // the integral over a cell is exact unless the radiance crosses `floor` within it
+        // the integral over a cell is nearly exact unless the radiance crosses `floor` within it
         assert!((important.value / (4.0 * std::f64::consts::PI * f64::from(sky.sampled_magnitude)) - 1.0).abs() < 0.03);
     }
 

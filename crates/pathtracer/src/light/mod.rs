@@ -188,7 +188,7 @@ impl Lights {
     ) -> Option<LightSample> {
         // choose between the local lights and each light from infinity
         let choice = self.choice(parts)?;
-        // in most scenes the tree is the only entry
+        // if all lights are local, the choice needs no search
         let only_local = choice.probability(LOCAL) == 1.0;
         let (index, inside) = if only_local { (LOCAL, u[0]) } else { choice.sample(u[0]) };
         let chance = choice.probability(index);

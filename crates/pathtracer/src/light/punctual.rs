@@ -83,7 +83,8 @@ impl PunctualLight {
     }
 
     /// Returns the direction to the light, the light's position (`None` at infinity), and its
-    /// irradiance on a surface that faces it.
+    /// irradiance on a surface that faces it. For a distant light, the third value is the weight
+    /// that the top of the file defines.
     fn sample(&self, from: Vec3, u: [f32; 2]) -> Option<(Vec3, Option<Vec3>, Vec3)> {
         match self.kind {
             LightKind::Directional => return Some((-self.direction, None, self.intensity)),

@@ -49,9 +49,8 @@ impl<'a> ViewSamples<'a> {
     }
 
     /// Calls `take` with the rays of the given pixels, at most [`BEAM`] per call, and with the
-    /// random numbers of these rays. The settings state the number of rays of a pixel. Several
-    /// pixels, which should be neighbours, may only be given together if all their rays fit into
-    /// one call.
+    /// random numbers of these rays. Each pixel has [`Settings::samples`] rays. Several pixels,
+    /// which should be neighbours, may only be given together if all their rays fit into one call.
     #[inline]
     pub(super) fn for_each_beam(&self, pixels: &[[usize; 2]], take: impl FnMut(&mut RayBeam, &Draws<'_>)) {
         self.for_each_beam_of(pixels, |at| self.pixel_seed(at), [self.paths; 2], take);

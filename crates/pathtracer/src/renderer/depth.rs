@@ -19,8 +19,8 @@ use crate::settings::AngularFilter;
 
 impl Renderer {
     /// Returns the depth of a view, `view` = [view_y, view_x] of the geometry's grid, as
-    /// `[row][col]` in millimetres. The depth is z in display space of the first hit of each
-    /// pixel's central ray; NaN if that ray hits nothing. Does not advance the progress.
+    /// `[row][col]` in millimetres. The depth is z in display space of the first surface on each
+    /// pixel's central ray that viewers see; NaN if there is none. Does not advance the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.

@@ -113,8 +113,8 @@ impl Features {
 
 impl Renderer {
     /// Renders a view, and also returns the variance of every mean and data of the first surfaces
-    /// of all paths. The radiance equals the radiance of [`render_view`](Self::render_view) bit for
-    /// bit.
+    /// of all paths. In all pixels that [`render_view`](Self::render_view) renders, the radiance
+    /// equals its radiance bit for bit.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).

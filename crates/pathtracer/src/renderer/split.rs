@@ -129,7 +129,7 @@ impl SplitView {
     /// the reflectance of the base's lobes that depend on the viewer's direction. Alpha is the
     /// smaller squared roughness of base and coat; it is 0 for glass and for light that rays
     /// themselves see. With [further rays](Settings::has_further_rays) a second reflectance rgb and
-    /// a second gloss rgb follow. Like the light, they are means over the paths alone.
+    /// a second gloss rgb follow, which are means over the paths alone.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }

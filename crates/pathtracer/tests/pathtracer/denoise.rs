@@ -209,8 +209,8 @@ fn split_and_shared(
     (splits, shared)
 }
 
-/// Views share the reflections of rough metal, which lowers the error and keeps the mean. Mirrors,
-/// glass and glowing surfaces stay as rendered.
+/// Views share the reflections of rough metal, which lowers the error and keeps the mean. Nearly
+/// smooth metal, glass and glowing surfaces stay as rendered.
 #[test]
 fn reflections_of_rough_metal_are_shared() {
     let grid = ViewGrid::uniform(Projection::Oblique, [7, 5], [12.0, 8.0]).unwrap();
@@ -423,7 +423,7 @@ fn lent_light_is_independent_of_reflectance() {
     }
 }
 
-/// Where pixels of a group see different surfaces, or a mirror, sparse paths end no path.
+/// Where pixels of a group see different surfaces or nearly smooth metal, sparse paths end no path.
 #[test]
 fn edges_and_mirrors_keep_their_paths() {
     let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);

@@ -11,7 +11,7 @@ use lumistack_testkit::statistics::FALSE_ALARM_RATE;
 
 const SIZE: usize = 40;
 /// Half width of a lamp at a distance of 1 from a wall. The lamp fills the half space in front of
-/// the wall except for the fraction `MISSING`.
+/// the wall except for less than the fraction `MISSING`.
 const HALF_WIDTH: f32 = 300.0;
 const MISSING: f64 = 2e-5;
 

@@ -29,7 +29,7 @@ pub struct DisplayLikeness {
     /// views.
     pub likeness: Likeness,
     /// PSNR of each compared view, dB, `[view row][view column]`; `None` if the emitted light
-    /// equals the target.
+    /// equals the target, or no ray goes through the display.
     pub views_db: Vec<Vec<Option<f64>>>,
 }
 

@@ -13,7 +13,8 @@ use crate::simulate::simulate_to_file;
 /// Similarity of two pictures or light fields.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Likeness {
-    /// Peak signal-to-noise ratio, dB; `None` if the two compared pictures are equal.
+    /// Peak signal-to-noise ratio, dB; `None` if the compared pixels are equal, or no pixel is
+    /// compared.
     pub psnr_db: Option<f64>,
     /// Structural similarity, at most 1.
     pub ssim: f64,

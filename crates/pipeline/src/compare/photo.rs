@@ -66,9 +66,9 @@ pub struct PhotoComparison {
 
 /// Compares a photograph with the simulation of a run from the camera's position.
 ///
-/// `corners` are the corners of the light field's rectangle in the photograph, in pixels from its
-/// top left corner. Their order is top left, top right, bottom right, bottom left. `None` stands
-/// for the corners of the photograph.
+/// `corners` are the corners of the light field's rectangle in the photograph, in pixels from the
+/// photograph's top left corner. Their order is top left, top right, bottom right, bottom left.
+/// `None` stands for the corners of the photograph.
 ///
 /// # Errors
 /// If the run or the photograph cannot be read, the corners are not those of a convex figure, or

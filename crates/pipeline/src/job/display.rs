@@ -23,8 +23,8 @@ pub struct DisplayJob {
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub file: Option<PathBuf>,
-    /// Resolution of the light field, `[columns, rows]`. The resolution of layers changes in
-    /// proportion; the width in millimetres stays.
+    /// Resolution of the light field, `[columns, rows]`. The numbers of mask pixels and of lenslets
+    /// change in proportion; the width in millimetres stays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[usize; 2]>,
     /// Views that sample the viewing zone. `"auto"` selects the number that the display needs.

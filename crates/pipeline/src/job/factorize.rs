@@ -70,7 +70,7 @@ pub struct EyeJob {
     pub eye_mm: [f64; 3],
     /// Standard deviation, mm.
     pub sigma_mm: f64,
-    /// Weight of rays through the position.
+    /// Value of the Gaussian for rays through the position.
     #[serde(default = "default_eye_weight")]
     pub weight: f64,
 }
@@ -140,8 +140,8 @@ impl FactorizeJob {
         }
     }
 
-    /// Checks `eyes` and `eye_floor`. Also checks that the job does not set `weights` besides
-    /// `eyes`.
+    /// If the job sets `eyes`, checks `eyes` and `eye_floor`. Also checks that the job does not set
+    /// `weights` besides `eyes`.
     ///
     /// # Errors
     /// If an eye is not in front of the display, a number is out of range, or the job sets both

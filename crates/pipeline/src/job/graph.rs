@@ -11,10 +11,11 @@ use lumistack_core::path_text::is_default;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ImporterJob {
-    /// If true, glTF and OBJ files may refer to files outside of their folder.
+    /// If true, glTF files and files of importer plugins may refer to files outside of their
+    /// folder.
     #[serde(default, skip_serializing_if = "is_default")]
     pub allow_outside: bool,
-    /// Memory for the decoded pictures of a glTF or OBJ scene, MiB: 1 to 1048576.
+    /// Memory for the decoded pictures of a scene, MiB: 1 to 1048576. No effect on USD files.
     #[serde(default = "default_picture_mib")]
     pub picture_mib: u64,
     /// Id of the plugin; default: the plugin that reads files of this extension.
@@ -58,7 +59,8 @@ pub struct SourceJob {
 pub struct NodeJob {
     /// Name of the node and of its folder, unique in the job.
     pub id: String,
-    /// Id of a node plugin; see `lumistack plugins`.
+    /// Id of a node plugin (see `lumistack plugins`), or `tensor-display` for the built-in
+    /// factorizer.
     #[serde(default = "default_node")]
     pub plugin: String,
     /// Display of the node. Its resolution and views become those of the light field. Default: the

@@ -48,8 +48,8 @@ pub struct LiveFields {
     /// Key of the last returned light field. If the job names a light field, the key of the last
     /// attempt to read the light field, even if the attempt failed.
     shown: Option<Value>,
-    /// Number of reloads. It is part of every key of a result from files, so a reload makes these
-    /// results anew.
+    /// Number of reloads. It is part of all keys except the key of the placement. So a reload makes
+    /// results anew, but the window stays.
     edition: u64,
     content: u64,
 }
@@ -225,7 +225,7 @@ impl LiveFields {
     /// Returns the paths of a sequence's light fields, in the order of their time steps.
     ///
     /// # Errors
-    /// If the folder has no light fields.
+    /// If the folder cannot be read, or has no light fields or too many.
     pub fn times_of(job: &Job) -> Result<Vec<PathBuf>, PipelineError> {
         Times::find(job, &SequenceJob::default()).map(Times::into_fields)
     }

@@ -53,8 +53,8 @@ pub(super) struct Radiance {
 }
 
 impl Progressive {
-    /// Prepares the target's views. Renders the data that all passes use: the splats, and the
-    /// fraction of each pixel that shows the background.
+    /// Prepares the target's views. Renders the data that all passes use: the splats and, for a
+    /// background colour, the fraction of each pixel that shows this colour.
     ///
     /// # Errors
     /// If the scene cannot be rendered, or when cancelled.

@@ -28,7 +28,7 @@ use crate::stage::node::is_factorized;
 /// light fields. Returns the ids of the steps that make the light fields.
 ///
 /// # Errors
-/// If there are no light fields, or fewer than the job has time steps.
+/// If the folder of light fields cannot be read, or has too few or too many light fields.
 pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Result<Vec<String>, PipelineError> {
     let (job, folder) = (plan.parts[part].job.clone(), plan.parts[part].folder.clone());
     let Some(sequence) = &job.sequence else { return Ok(Vec::new()) };

@@ -122,7 +122,8 @@ pub(crate) struct Designs {
 /// Adds the steps of a sweep: light fields, then designs, then the table.
 ///
 /// # Errors
-/// If a design is invalid, or no design satisfies the constraints of a search.
+/// If the job names a graphics processor or a warm start, there are too many designs, a design is
+/// invalid, or no design satisfies the constraints of a search.
 pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Designs, PipelineError> {
     sweep.check()?;
     let of_nodes = job.nodes.iter().filter_map(|node| node.factorize.as_ref());

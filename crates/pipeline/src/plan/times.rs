@@ -70,7 +70,7 @@ impl Times {
     /// Finds the light fields of a folder, or takes the number of time steps from the job.
     ///
     /// # Errors
-    /// If there are no light fields, or fewer than the job has time steps.
+    /// If the folder of light fields cannot be read, or has too few or too many light fields.
     pub(crate) fn find(job: &Job, sequence: &SequenceJob) -> Result<Self, PipelineError> {
         let fields = match (&job.scene, &job.light_field) {
             (None, Some(folder)) => light_fields(folder, sequence.times)?,

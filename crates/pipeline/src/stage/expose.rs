@@ -42,7 +42,8 @@ pub(crate) struct Exposed {
 /// `linear`, values remain scene-linear.
 ///
 /// # Errors
-/// If a view is missing, or the scene's background cannot be traced.
+/// If a view is missing, the scene's background cannot be traced, a file cannot be written, or the
+/// task is cancelled.
 pub(crate) fn run(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Result<Exposed, PipelineError> {
     let all: usize = traced.fields.iter().map(|field| field.geometry.grid.iter().count()).sum();
     task.progress.begin("expose", all as u64, "views");

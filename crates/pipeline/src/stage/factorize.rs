@@ -257,7 +257,8 @@ struct Choice {
 /// ([`Solve::warm_start_pays`]). The choice is cached.
 ///
 /// # Errors
-/// If the patterns cannot be read, the solver fails, or the task is cancelled.
+/// If the settings are invalid, the solver fails, the choice cannot be written, or the task is
+/// cancelled.
 pub(crate) fn prefers_fresh(
     solve: Solve<'_>,
     fresh: &FactorizeJob,

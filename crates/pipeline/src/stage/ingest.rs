@@ -105,7 +105,7 @@ pub enum SceneContents {
 /// Lists the choices that a scene file offers.
 ///
 /// # Errors
-/// If a file cannot be read or is damaged.
+/// If the scene has no reader, or a file cannot be read or is damaged.
 pub fn scene_contents(
     path: &Path,
     importer: &ImporterJob,

@@ -20,7 +20,8 @@ use crate::store::stamps::Stamps;
 /// Checks plugins and parameters of a job's outputs, without opening them.
 ///
 /// # Errors
-/// If an output plugin does not exist, or it refuses the parameters or the kind of data.
+/// If an output plugin does not exist, refuses the parameters or the kind of data, or drives
+/// panels.
 pub(crate) fn check(job: &Job, registry: &Registry) -> Result<(), PipelineError> {
     for output in &job.outputs {
         let info = registry.get_kind(&output.plugin, PluginKind::Output).map_err(PipelineError::Output)?.info();
@@ -89,7 +90,7 @@ pub(crate) fn stage_name(output: &OutputJob) -> String {
 /// result has the message, and the run continues.
 ///
 /// # Errors
-/// If cancelled, or the stamp cannot be written.
+/// If cancelled.
 pub(crate) fn run(
     output: &OutputJob,
     relative: &str,

@@ -374,7 +374,8 @@ fn window_bytes(job: &Job) -> usize {
     job.render.window_bytes() / 8
 }
 
-/// Returns the settings for tracing the views, without the number of paths.
+/// Returns the settings for tracing, without the number of paths, the seed and the job's angular
+/// filter.
 fn settings(shot: Shot<'_>) -> Settings {
     let hide_environment = shot.job.light.background != Background::Environment;
     Settings {

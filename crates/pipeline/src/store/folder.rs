@@ -83,7 +83,7 @@ fn check_inputs(dir: &Path, work: Work, job: &Job, registry: &Registry) -> Resul
     Ok(())
 }
 
-/// Returns every file and folder that a job reads, with its role.
+/// Returns the files and folders that a job names, with their roles.
 pub(crate) fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
     let mut job = job.clone();
     let mut list: Vec<(&str, PathBuf)> = Vec::new();

@@ -50,7 +50,7 @@ fn content_of(path: &Path) -> Option<String> {
 }
 
 /// Converts the scene of a `.blend` file at the time `time_s`, seconds. With a cache folder, a
-/// conversion is reused until the file, its references, Blender, or our script in Blender changes.
+/// conversion is reused until the file, its references, Blender, or our code changes.
 /// A conversion with inputs that cannot be checked is not cached.
 ///
 /// # Errors

@@ -152,8 +152,8 @@ fn chunks_of_a_sequence_do_not_wait_for_each_other() {
             let id = format!("t000{time}/{node}factorize");
             plan.units.iter().find(|unit| unit.id == id).unwrap().inputs.clone()
         };
-        // The inputs are the light fields of the warm-up, not the patterns of the previous time
-        // step.
+        // The inputs are the light fields of the warm-up and of the time step itself, not the
+        // patterns of the previous time step.
         assert_eq!(inputs(4), ["t0002/expose", "t0003/expose", "t0004/expose"]);
         assert!(inputs(5).contains(&format!("t0004/{node}factorize")));
         // The job of a time step does not show a warm-up, since a time step may prefer a fresh
@@ -209,7 +209,7 @@ fn workers_of_other_code_and_other_folders_are_refused() {
     assert_eq!(unit(&dir, "source", &registry), Ok(false));
 }
 
-/// A changed scene makes another plan, and `--map` maps files in parameters of plugins.
+/// A changed file of a plugin's parameter makes another plan, and `--map` maps such files.
 #[test]
 fn a_plan_depends_on_the_files_of_its_job() {
     let (registry, folder) = (Registry::built_in().unwrap(), tempfile::tempdir().unwrap());

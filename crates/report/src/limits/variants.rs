@@ -29,7 +29,7 @@ pub(super) enum Variant {
     /// Values that are at the darkest state become black, unless the darkest state is black
     /// already.
     Black,
-    /// Values are rounded to the panels' codes.
+    /// The layers' values are rounded to the panels' codes.
     Quantized,
     /// The layers have neither blur nor crosstalk.
     SharpAndPure,

@@ -81,8 +81,8 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
             section id="zone" {
                 h2 { "Whole viewing zone" }
                 p class="quiet" {
-                    "Unknown: the solver used all views of the given light field, so there are no references between them. The scores below are the scores of these views. "
-                    "If a light field has more views than the display needs, keep fewer views (" code { "--views" } "). The other views are then the references of the zone."
+                    "Unknown: the run has no reference pictures for directions over the zone. The scores below are the scores of single views. "
+                    "If a given light field has more views than the display needs, keep fewer views (" code { "--views" } "). The other views are then the references of the zone."
                 }
             }
         };
@@ -115,7 +115,7 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
                 "Eyes may be anywhere, so the display is scored from " (directions.len()) " directions over its whole zone, none of which the solver used. Each seen picture, averaged over the area of every pixel, is compared with "
                 @if zone.left_out { "a view of the given light field that was left out" } @else { "two renders of the scene from the same direction, so that their noise is excluded" }
                 ": " strong { (mean) } " over all directions, " strong { (worst) } " over the worst tenth. SSIM and FLIP are means over the first eight directions"
-                @if !zone.left_out { ", whose renders have more samples" } "."
+                @if !zone.left_out { ", whose renders show every pixel" } "."
             }
             svg class="zone" role="img" aria-label="PSNR by direction" viewBox=(format!("0 0 {SIDE} {SIDE}")) {
                 @for direction in &directions { (dot(direction)) }

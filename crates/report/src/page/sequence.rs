@@ -146,7 +146,7 @@ fn table(times: &[SequenceTime], id: &str) -> Markup {
         section id=(id) {
             h2 { "Every time step" }
             p {
-                "A \"warm\" start uses the patterns of the previous time step. If a fresh start is better after an iteration, as after a cut, the fresh start is used instead. "
+                "A \"warm\" start uses the patterns of the previous time step. If a fresh start promises a better result, as after a cut, the fresh start is used instead. "
                 "\"start, dB\" is the PSNR before the first iteration."
             }
             details open[times.len() <= 60] {

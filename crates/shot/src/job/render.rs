@@ -332,7 +332,7 @@ impl RenderJob {
         self.samples.is_none() && self.zone_samples == ZoneSamples::Auto && !self.denoise.takes_halves()
     }
 
-    /// Returns the number of views of `pixels` pixels that memory can hold.
+    /// Returns the number of views of `pixels` pixels that fill `field_mib`, rounded up.
     pub fn affordable_views(&self, pixels: usize) -> usize {
         (self.field_mib << 20).div_ceil(Self::BYTES_PER_RAY * pixels as u64) as usize
     }

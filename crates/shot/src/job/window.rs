@@ -67,7 +67,7 @@ pub enum FitDepth {
 }
 
 /// Largest distance in front of the window at which content is visible. Content that is nearer to
-/// the viewer is also ignored for framing and exposure.
+/// the viewer is also ignored for depth fitting and exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Near {
     /// If a camera determines the window, the camera's near plane. If numbers determine the window
@@ -82,7 +82,7 @@ pub enum Near {
 }
 
 /// Largest distance in front of the window at which content is visible. Content that is nearer to
-/// the viewer is also ignored for framing and exposure.
+/// the viewer is also ignored for depth fitting and exposure.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 enum NearText {

@@ -52,7 +52,7 @@ pub(crate) fn directions([azimuth_deg, elevation_deg]: [f64; 2]) -> [DVec3; 2] {
     [forward, DVec3::new(-sin_a * sin_e, cos_e, -cos_a * sin_e)]
 }
 
-/// Returns the smallest window that holds the visible scene from a direction.
+/// Returns a window that holds the visible scene from a direction, with a small margin.
 ///
 /// # Errors
 /// The same errors as [`Window::framing`].

@@ -72,7 +72,8 @@ pub struct Found {
 ///
 /// # Errors
 /// When the job names a camera that does not exist, or gives numbers that make no rectangle. Also
-/// when a key or a camera is missing that its `from` requires.
+/// when a key or a camera is missing that its `from` requires, when a camera that the job requests
+/// makes no rectangle, when the scene cannot be framed or rendered, or when cancelled.
 pub fn find_window<S: Subject>(
     subject: &S,
     job: &WindowJob,
@@ -302,7 +303,7 @@ fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
 
 /// Returns a region around the middle of a picture, in the form of [`whole`]. Set pixels cover the
 /// fraction [`COVERAGE`] of this region. The region is larger if it would otherwise cut off set
-/// pixels or be smaller than [`CLOSEST`].
+/// pixels or be smaller than [`CLOSEST`]. The region is at most the whole picture.
 fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let [rows, cols] = mask.shape();
     let middle = [rows, cols].map(|count| 0.5 * count as f64);

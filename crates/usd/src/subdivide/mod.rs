@@ -62,7 +62,7 @@ pub(crate) enum FaceVarying {
 }
 
 /// A control mesh and its rules, named as in UsdGeomMesh. Faces with fewer than three vertices, or
-/// with vertices that do not exist, are treated as holes. Creases and corners with vertices that do
+/// with vertices that do not exist, are left out. Creases and corners with vertices that do
 /// not exist are ignored.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Cage<'a> {
@@ -206,8 +206,8 @@ impl Refinement {
     }
 
     /// Interpolates data of "faceVarying" primvars. `indices` has the index of a value per corner
-    /// of the input. Equal values at a vertex are joined. `None` if `indices` does not fit the
-    /// mesh.
+    /// of the input. Equal values at a vertex are joined. `None` if `indices` does not fit the mesh
+    /// or the values.
     pub(crate) fn face_varying(
         &self,
         rule: FaceVarying,

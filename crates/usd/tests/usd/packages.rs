@@ -185,7 +185,7 @@ fn arrays_that_lie_do_no_harm() {
     }
 }
 
-/// A few bytes request 10^18 copies. The file is refused before any copy is made.
+/// A few bytes request more than 10^18 copies. The file is refused before any copy is made.
 #[test]
 fn copies_of_copies_are_counted_before_they_are_made() {
     let (mut header, data) = sample();

@@ -10,9 +10,8 @@ const OUTPUT: [usize; 2] = [840, 525];
 const EYE: [f64; 3] = [12.0, -8.0, 2000.0];
 /// Largest allowed error of the homographies, panel pixels.
 const ERROR_PX: f64 = 0.1;
-/// Largest allowed error at the corners of a rotated panel, panel pixels. It is larger than
-/// [`ERROR_PX`], since the corners are outside the array. Moreover, lines of rotated crosses are
-/// staircases of panel pixels.
+/// Largest allowed error of the homography of a panel that is already calibrated, panel pixels. It
+/// is larger than [`ERROR_PX`], since lines of rotated crosses are staircases of panel pixels.
 const ASKEW_PX: f64 = 0.2;
 
 fn display() -> Display {

@@ -1,5 +1,5 @@
 //! The main thread of a presentation. It handles windows, keys, commands, and outputs that
-//! disappear.
+//! change or disappear.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -49,8 +49,9 @@ const REACH: f64 = 1.2;
 /// must run on the main thread.
 ///
 /// # Errors
-/// If there is no windowing system, no graphics driver or too few outputs. Also if an output is
-/// disconnected or changes.
+/// If there is no windowing system or graphics driver, or if the outputs do not match the display.
+/// Also if a window does not reach the size of its output, or if an output is disconnected or
+/// changes.
 pub fn present(
     settings: Settings,
     commands: Receiver<Command>,
@@ -60,7 +61,8 @@ pub fn present(
     let event_loop = event_loop::<Command>().build().map_err(session)?;
     let proxy = event_loop.create_proxy();
     std::thread::spawn(move || {
-        // This loop ends when the sender of commands is dropped, or when the event loop exits.
+        // This loop ends when the sender of commands is dropped, or at the first command after the
+        // event loop has exited.
         for command in commands {
             if proxy.send_event(command).is_err() {
                 break;

@@ -66,7 +66,8 @@ fn texel(@builtin(position) place: vec4<f32>) -> @location(0) vec4<f32> {
 /// Opens a device that can present on all windows, and configures their surfaces.
 ///
 /// # Errors
-/// If there is no driver, or a surface has no 8-bit unorm format.
+/// If no driver can present on all windows. Also if the first surface has no 8-bit unorm format, or
+/// another surface lacks this format.
 pub(super) fn open(
     event_loop: &ActiveEventLoop,
     windows: Vec<(Arc<Window>, String)>,

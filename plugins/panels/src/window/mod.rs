@@ -2,7 +2,7 @@
 //! all outputs, or an ordinary window with a preview.
 //!
 //! ```text
-//! main thread   windows, keys, outputs that appear and disappear  (winit requires this thread)
+//! main thread   windows, keys, outputs that change or disappear  (winit requires this thread)
 //! producer      encodes stacks, patterns and panel shifts into codes, uploads them, fills the feed
 //! present loop  per refresh: one frame on every surface in one submission; takes the feed's frames
 //!               at the start of a period
@@ -68,7 +68,7 @@ pub enum WindowError {
     /// The system starts no thread for the presentation.
     #[error("windows: cannot start a thread: {0}")]
     Thread(std::io::Error),
-    /// There is no graphics driver, not even in software.
+    /// There is no suitable graphics driver, not even in software; or the driver has failed.
     #[error(
         "graphics: expected a Vulkan or OpenGL driver that can present on {on} (Mesa's llvmpipe needs no graphics card), found {found}"
     )]

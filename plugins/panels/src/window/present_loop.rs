@@ -113,7 +113,7 @@ impl PresentLoop {
         report
     }
 
-    /// Presents one frame on all surfaces; returns false if no surface had an image.
+    /// Presents one frame on every surface that has an image; returns false if none has one.
     fn refresh(&mut self, pictures: &[wgpu::BindGroup], index: u64, missed: &mut u64) -> bool {
         let resized = self.shared.resized.swap(false, Ordering::Relaxed);
         // Acquire an image of every surface. Each call blocks until the surface has a free image.

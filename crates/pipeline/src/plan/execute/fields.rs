@@ -35,7 +35,8 @@ impl Context<'_> {
         Ok(false)
     }
 
-    /// Places the window in the scene.
+    /// Places the window in the scene. Also measures the number of paths per pixel and view, if the
+    /// job needs this measurement.
     pub(super) fn place(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let job = self.job(part);
         let ingested = self.ingested(part)?;

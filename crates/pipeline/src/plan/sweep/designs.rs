@@ -12,7 +12,8 @@ use crate::stage::design::Candidate;
 /// Returns all distinct designs, and a job for each light field that they need.
 ///
 /// # Errors
-/// If a display cannot be loaded, or a combination is invalid.
+/// If a display cannot be loaded, a combination is invalid, or a job without a scene has
+/// `sweep.fov_deg`.
 pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Job>), PipelineError> {
     let bases: Vec<(String, DisplayJob)> = if sweep.displays.is_empty() {
         let own = &job.display;

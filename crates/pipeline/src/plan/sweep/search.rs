@@ -15,8 +15,8 @@ use crate::stage::design::Candidate;
 const RUNGS: [(f64, f64); 2] = [(0.08, 0.5), (0.3, 0.4)];
 /// Minimum number of candidates that a round keeps.
 const LEAST: usize = 6;
-/// Designs whose scores differ by less than this value, dB, are regarded as equally good. The
-/// search prefers the cheapest of these designs.
+/// Designs whose scores differ by at most this value, dB, are regarded as equally good. The search
+/// prefers the cheapest of these designs.
 const EQUAL_DB: f64 = 0.3;
 /// Margin below the requested PSNR, dB. A design whose PSNR after few iterations is lower by more
 /// than this margin ranks behind all other designs of the round.
@@ -112,7 +112,7 @@ fn cost(design: &Design) -> [f64; 4] {
 }
 
 /// Returns row numbers by rank. Rows that reach `enough_db` come first, the cheapest first. The
-/// other rows follow by PSNR. If PSNRs differ by less than [`EQUAL_DB`], the cheapest row comes
+/// other rows follow by PSNR. If PSNRs differ by at most [`EQUAL_DB`], the cheapest row comes
 /// first.
 fn ranked(rows: &[Row], enough_db: Option<f64>) -> Vec<usize> {
     let by_cost = |a: usize, b: usize| {

@@ -58,7 +58,7 @@ impl Oidn {
     /// Denoises a picture `[row][col][rgb]`, scene-linear. The exchanged files are in `folder`.
     ///
     /// # Errors
-    /// If the program fails, or writes no picture of this size.
+    /// If the program fails or writes no picture of this size, or a file cannot be written.
     pub(crate) fn denoise(
         &self,
         radiance: &[f32],
