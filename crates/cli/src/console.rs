@@ -31,9 +31,12 @@ pub(crate) fn tell_line(text: std::fmt::Arguments<'_>) {
 }
 
 pub(crate) fn print_line(text: std::fmt::Arguments<'_>) {
-    if writeln!(std::io::stdout(), "{text}").is_err() {
+    let Err(error) = writeln!(std::io::stdout(), "{text}") else { return };
+    if error.kind() == std::io::ErrorKind::BrokenPipe {
         std::process::exit(0);
     }
+    tell_line(format_args!("error: standard output cannot be written: {error}"));
+    std::process::exit(1);
 }
 
 /// Interval between two reports of a stage, without a progress bar.

@@ -334,9 +334,9 @@ pub enum Plots {
     /// the sweep varies.
     #[default]
     Few,
-    /// Maps over every pair of the axes layers, frames and brightness, and curves along every axis.
-    /// Each combination of values on the remaining axes has separate plots, at most twelve per pair
-    /// or axis.
+    /// Maps over every pair of the axes layers, frames and brightness, and curves along every axis
+    /// except displays. Each combination of values on the remaining axes has separate plots, at
+    /// most twelve per pair or axis.
     All,
 }
 

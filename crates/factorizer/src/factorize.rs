@@ -272,10 +272,12 @@ fn start_run(
             warm.check(display)?;
             // By the multiplicative rule, equal frames stay equal, so the user is warned. In a tile
             // with fixed pixels, equal frames may be intended.
-            if display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
-                let message =
-                    "all frames are equal, and the solver multiplicative keeps them equal, as if there were one frame";
-                task.warn("warm start", message);
+            let keeps_equal = method.name() == Multiplicative.name();
+            if keeps_equal && display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
+                task.warn(
+                    "warm start",
+                    "all frames are equal, and this solver keeps them equal, as if there were one frame",
+                );
             }
             let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };
             method.begin(Prepared { plan: plan.clone(), display, patterns: Patterns::Stack(start), executor })?

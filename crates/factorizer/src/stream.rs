@@ -1,10 +1,10 @@
 //! One colour channel of a display whose light field is larger than memory.
 //!
 //! The target stays in its mapped file and is read row by row. The patterns are returned row by
-//! row. If all rays of a view read a layer at a constant shift of whole pixels, one copy of the
-//! layer is in memory; otherwise an update needs a second copy. Channels are independent, so a
-//! colour display is three such problems in sequence. Updates are block-exact without
-//! extrapolation, which would need a further copy of all patterns.
+//! row. One copy of a layer is in memory if all rays of a view read the layer at a constant shift
+//! of whole pixels. Otherwise an update needs a second copy. Channels are independent, so a colour
+//! display is three such problems in sequence. Updates are block-exact without extrapolation, which
+//! would need a further copy of all patterns.
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_core::{Cancel, Cancelled};

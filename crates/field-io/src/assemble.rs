@@ -385,7 +385,9 @@ impl Range {
             let (count, lowest) = (self.negative, self.lowest);
             task.warn(
                 geometry::place(path),
-                format!("values below {OVERSHOOT} are set to 0 (number of these values: {count}; lowest value: {lowest})"),
+                format!(
+                    "values below {OVERSHOOT} are set to 0 (number of these values: {count}; lowest value: {lowest})"
+                ),
             );
         }
     }

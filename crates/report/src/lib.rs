@@ -71,7 +71,7 @@ mod sequence;
 mod thinned;
 
 use lumistack_core::Task;
-use lumistack_display::LightField;
+use lumistack_display::{LightField, ViewGrid};
 
 pub use depth::DepthBudget;
 use found::Found;
@@ -94,6 +94,7 @@ pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 pub fn build(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     input.stack.check(input.display)?;
     input.weights.check(input.target.geometry())?;
+    let grid = &input.target.geometry().grid;
     let some = thinned::thinned(input.target, input.weights);
     let input = &match &some {
         Some((target, weights)) => ReportInput { target, weights, ..*input },
@@ -103,18 +104,19 @@ pub fn build(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     let others = [input.held_out, input.outside].into_iter().flatten().map(views);
     let steps = views(input.target) + others.sum::<usize>() + limits::count(input) + patterns::count(input.stack);
     task.progress.begin("report", steps as u64, "pictures");
-    let report = build_parts(input, task);
+    let report = build_parts(input, grid, task);
     task.progress.end();
     report
 }
 
-fn build_parts(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
+/// Makes the report of measured target views. `grid` has all views of the target.
+fn build_parts(input: &ReportInput, grid: &ViewGrid, task: Task) -> Result<Report, ReportError> {
     let measured = measure::measure(input, task)?;
     let target = &measured.target;
-    let found = Found { light: light::light(input, target), limits: limits::find(input, target, task)? };
+    let found = Found { light: light::light(input, target), limits: limits::find(input, target, grid, task)? };
     let patterns = patterns::encode(input, task)?;
     let json = json::report(input, &measured, &found)?;
-    let html = page::render(input, &measured, &found, &patterns)?;
+    let html = page::render(input, &measured, grid, &found, &patterns)?;
     Ok(Report {
         html,
         json,

@@ -15,6 +15,7 @@ mod variants;
 mod views;
 
 use lumistack_core::Task;
+use lumistack_display::ViewGrid;
 
 use crate::measure::{FieldScore, outstanding_views};
 use crate::{ReportError, ReportInput};
@@ -27,7 +28,13 @@ pub(crate) fn count(input: &ReportInput) -> usize {
 }
 
 /// Returns the limits of a result: the largest first, and the limit by the number of frames last.
-pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Result<Vec<Limit>, ReportError> {
+/// `grid` has all views of the target, `target` the scores of the measured views.
+pub(crate) fn find(
+    input: &ReportInput,
+    target: &FieldScore,
+    grid: &ViewGrid,
+    task: Task,
+) -> Result<Vec<Limit>, ReportError> {
     let mut errors = Vec::new();
     let mut tone = Tone::default();
     for (i, variant) in variants(input).into_iter().enumerate() {
@@ -44,7 +51,7 @@ pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Resu
     }
     if base.sum == 0.0 {
         // If the result is exact, only the number of frames can limit it.
-        return Ok(vec![solver::frames(input, target, None)]);
+        return Ok(vec![solver::frames(input, target, grid, None)]);
     }
     let error = |variant| errors.iter().find(|(other, _)| *other == variant).map(|(_, error)| *error);
     let gain = |variant| error(variant).map(|error| 10.0 * (base.mse() / error.mse()).log10());
@@ -59,6 +66,6 @@ pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Resu
     limits.extend(solver::iterations(input.convergence));
     limits.retain(|limit| limit.decibels.is_none_or(|gain| !gain.is_nan()));
     limits.sort_by(|a, b| b.decibels.unwrap_or(0.0).total_cmp(&a.decibels.unwrap_or(0.0)));
-    limits.push(solver::frames(input, target, gain(Variant::Still)));
+    limits.push(solver::frames(input, target, grid, gain(Variant::Still)));
     Ok(limits)
 }

@@ -10,6 +10,7 @@ mod views;
 
 mod layers;
 
+use lumistack_display::ViewGrid;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::measure::Measured;
@@ -28,6 +29,7 @@ const SHARP_COLS: usize = 600;
 pub(crate) fn render(
     input: &ReportInput,
     measured: &Measured,
+    grid: &ViewGrid,
     found: &Found,
     patterns: &Patterns,
 ) -> Result<String, ReportError> {
@@ -53,7 +55,7 @@ pub(crate) fn render(
         (views::look_around(measured))
         (views::comparisons(input, measured))
         (figures::zone(input))
-        (denoising::section(input)?)
+        (denoising::section(input, grid)?)
         @if let Some(budget) = input.depth { (depth::section(budget)?) }
         (figures::limits(input, found))
         (layers::patterns(input, patterns))

@@ -5,7 +5,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use lumistack_core::metrics::Flip;
 use lumistack_core::{Cancel, Collector, Task, Tensor, Warning, seed};
-use lumistack_display::{Display, LayerStack, LightField, ViewGrid, Weights, score, view_error};
+use lumistack_display::{Display, LayerStack, LightField, Projection, ViewGrid, Weights, score, view_error};
 use serde_json::{Value, json};
 
 mod figures;
@@ -367,4 +367,31 @@ fn a_denoised_target_is_reported() {
         assert!(report.html.contains(text), "{text}");
     }
     assert_eq!(report.json["denoising"]["views"].as_array().unwrap().len(), 6);
+}
+
+/// A report shows at most seven views per axis. Numbers of all views still have the right places.
+#[test]
+fn figures_of_many_views_count_all_views() {
+    let display = display(2, 2, [3, 2], [16, 8], "");
+    let grid = ViewGrid::uniform(Projection::Oblique, [13, 1], [20.0, 0.0]).unwrap();
+    let (stack, target) = (noisy_stack(&display), noisy_field(&display, Some(grid)));
+    let unknown = DenoisedView { mean: 0.5, mse_before: [f64::NAN; 2], mse_after: [f64::NAN; 2], ..Default::default() };
+    let mut views = vec![unknown; 13];
+    views[11] = DenoisedView { mse_before: [2e-3, 1e-5], mse_after: [3e-4, 2e-5], ..unknown };
+    let denoising = Denoising {
+        name: "a filter",
+        overall: views[11],
+        views,
+        unbiased: target.view([0, 6]),
+        filtered: target.view([0, 6]),
+    };
+    let report = built(&ReportInput { denoising: Some(&denoising), ..plain(&display, &stack, &target) }).unwrap();
+    assert!(report.html.contains("<td>0, 11</td>"), "the only measured view");
+    assert!(!report.html.contains("NaN ±"));
+    let limits = report.json["limits"].as_array().unwrap();
+    let frames = limits.iter().find(|limit| limit["name"] == "Frames").unwrap();
+    assert!(frames["text"].as_str().unwrap().contains("13 views"), "{frames}");
+    // more rays than the 7 measured views have
+    let of_view = target.view([0, 0]).len() as u64;
+    assert!(frames["figures"]["values_of_rays"].as_u64().unwrap() > 12 * of_view, "{frames}");
 }

@@ -89,9 +89,9 @@ pub enum LightKind {
     Point,
     /// The light emits into a cone.
     Spot {
-        /// Half angle of the cone within which the intensity is full.
+        /// Half angle of the cone within which the intensity is full, 0..=`outer_cone_rad`.
         inner_cone_rad: f32,
-        /// Half angle of the cone at which the intensity reaches zero.
+        /// Half angle of the cone at which the intensity reaches zero, above 0, at most π/2.
         outer_cone_rad: f32,
     },
     /// The light's rays are parallel.

@@ -371,6 +371,12 @@ impl SceneParts {
             {
                 return Err(SceneError::new(place, "a half angle from 0 to π/2", half_angle_rad.to_string()));
             }
+            if let LightKind::Spot { inner_cone_rad: inner, outer_cone_rad: outer } = light.kind
+                && !(0.0 <= inner && inner <= outer && 0.0 < outer && outer <= FRAC_PI_2)
+            {
+                let expected = "half angles of the cones with 0 ≤ inner ≤ outer ≤ π/2 and outer above 0";
+                return Err(SceneError::new(place, expected, format!("inner {inner} and outer {outer}")));
+            }
             light.direction = light
                 .direction
                 .try_normalize()

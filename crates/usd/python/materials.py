@@ -377,9 +377,11 @@ class Graph:
 
     def do_mix(self, shader, count, output):
         front, back, share = self.get(shader, "fg"), self.get(shader, "bg"), self.get(shader, "mix")
+        # MaterialX mixes by 0 if the amount is missing, which shows only the background.
+        share = share or constant([0.0])
         zero = constant([0.0] * count)
         front, back = front or zero, back or zero
-        if share and "value" in share:
+        if "value" in share:
             share = share["value"][0]
             # A mix of a texture and a constant is a scale and a bias of the texture.
             for texture, other, weight in ((front, back, share), (back, front, 1.0 - share)):

@@ -353,14 +353,16 @@ impl<'a> Builder<'_, 'a> {
     }
 
     /// Sets the transmission. The mesh encloses a solid, unless `thin` is true. In a solid with a
-    /// `depth` above 0, absorption tints the transmitted light; otherwise the surface tints it.
-    pub(crate) fn transmission(&mut self, weight: &Value<1>, color: Vec3, depth: f32, thin: bool) {
+    /// `depth` above 0, absorption gives transmitted light the `color`; otherwise the surface does.
+    /// Without a `color`, the base colour tints transmitted light.
+    pub(crate) fn transmission(&mut self, weight: &Value<1>, color: Option<Vec3>, depth: f32, thin: bool) {
         let (factor, texture) = self.data(weight, 0);
         if factor <= 0.0 {
             return;
         }
         let material = &mut self.material;
         (material.transmission, material.transmission_texture, material.solid) = (factor, texture, !thin);
+        let Some(color) = color else { return };
         let mut tint = color;
         if depth > 0.0 && !thin {
             (material.attenuation_color, material.attenuation_distance) = (color, depth);

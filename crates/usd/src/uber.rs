@@ -56,7 +56,7 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
     builder.specular(&inputs.get("specular", [1.0]), &inputs.get("specular_color", WHITE), ior);
     builder.anisotropy(inputs.number("specular_anisotropy", 0.0), inputs.number("specular_rotation", 0.0));
     let (tint, depth) = (inputs.color("transmission_color", WHITE), inputs.number("transmission_depth", 0.0));
-    builder.transmission(&inputs.get("transmission", [0.0]), tint, depth, thin);
+    builder.transmission(&inputs.get("transmission", [0.0]), Some(tint), depth, thin);
     let abbe = inputs.number("transmission_dispersion", 0.0);
     builder.material.dispersion = if abbe > 0.0 { (20.0 / abbe).min(20.0) } else { 0.0 };
     let normal = inputs.get("normal", UP);
@@ -104,7 +104,7 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     builder.specular(&inputs.get("specular_weight", [1.0]), &inputs.get("specular_color", WHITE), ior);
     builder.anisotropy(inputs.number("specular_roughness_anisotropy", 0.0), 0.0);
     let (tint, depth) = (inputs.color("transmission_color", WHITE), inputs.number("transmission_depth", 0.0));
-    builder.transmission(&inputs.get("transmission_weight", [0.0]), tint, depth, thin);
+    builder.transmission(&inputs.get("transmission_weight", [0.0]), Some(tint), depth, thin);
     let abbe = inputs.number("transmission_dispersion_abbe_number", 20.0).max(1.0);
     builder.material.dispersion = (20.0 / abbe * inputs.number("transmission_dispersion_scale", 0.0)).clamp(0.0, 20.0);
     let normal = inputs.get("geometry_normal", UP);
@@ -148,7 +148,7 @@ pub(crate) fn gltf_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     let ior = inputs.number("ior", 1.5);
     builder.specular(&inputs.get("specular", [1.0]), &inputs.get("specular_color", WHITE), ior);
     let thin = inputs.number("thickness", 0.0) <= 0.0;
-    builder.transmission(&inputs.get("transmission", [0.0]), Vec3::ONE, 0.0, thin);
+    builder.transmission(&inputs.get("transmission", [0.0]), None, 0.0, thin);
     let distance = inputs.number("attenuation_distance", f32::MAX);
     if !thin && distance < f32::MAX && distance > 0.0 {
         builder.material.attenuation_distance = distance;

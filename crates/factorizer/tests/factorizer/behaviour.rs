@@ -98,10 +98,20 @@ fn the_brightness_is_the_displays_and_equal_frames_are_reported() {
     warm.brightness = 1.0;
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
-    let result = factorize(&owned.problem(), &iterations(5), Some(&warm), task, &mut |_| ()).unwrap();
-    assert_eq!(result.stack.brightness, owned.display.brightness);
-    assert!(warnings.take()[0].message.contains("all frames are equal"));
-    assert!(result.history[5].objective < result.history[0].objective, "zeros are lifted to the floor and grow");
+    for solver in ["multiplicative", "block-exact"] {
+        let settings = Settings { solver: solver.into(), ..iterations(5) };
+        let result = factorize(&owned.problem(), &settings, Some(&warm), task, &mut |_| ()).unwrap();
+        assert_eq!(result.stack.brightness, owned.display.brightness);
+        assert!(result.history[5].objective < result.history[0].objective, "zeros are lifted to the floor and grow");
+        // only the multiplicative rule keeps equal frames equal
+        let layer = &result.stack.layers[0];
+        let frames: Vec<&[f32]> = (0..owned.display.frames).map(|frame| layer.block([frame])).collect();
+        let are_equal = frames.iter().all(|frame| *frame == frames[0]);
+        assert_eq!(are_equal, solver == "multiplicative", "{solver}");
+        let said: Vec<_> =
+            warnings.take().into_iter().filter(|said| said.message.contains("frames are equal")).collect();
+        assert_eq!(said.len(), usize::from(are_equal), "{solver}: {said:?}");
+    }
 }
 
 #[test]

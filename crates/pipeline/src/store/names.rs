@@ -45,7 +45,10 @@ impl Work {
                     | "report.json"
             ),
             Self::Sequence => matches!(name, "job.toml" | "report.html" | "report.json") || is_time(name),
-            Self::Views => name == "lightfield.json" || (name.starts_with("view_") && name.ends_with(".exr")),
+            Self::Views => {
+                let is_view = name.starts_with("view_") || name.starts_with("layers_");
+                name == "lightfield.json" || (is_view && name.ends_with(".exr"))
+            }
             Self::Sweep => matches!(
                 name,
                 "job.toml" | "designs" | "fields" | "plots" | "proposed.toml" | "sweep.csv" | "sweep.json"

@@ -1,5 +1,6 @@
 //! Limits of the solution: the number of iterations, and the number of pattern values per ray.
 
+use lumistack_display::ViewGrid;
 use serde_json::json;
 
 use super::limit::Limit;
@@ -33,13 +34,15 @@ pub(super) fn iterations(history: &[Iteration]) -> Option<Limit> {
     Some(Limit { name: "Iterations", decibels: Some(gain.max(0.0)), text, figures })
 }
 
-pub(super) fn frames(input: &ReportInput, target: &FieldScore, still: Option<f64>) -> Limit {
+pub(super) fn frames(input: &ReportInput, target: &FieldScore, grid: &ViewGrid, still: Option<f64>) -> Limit {
     let stack = input.stack;
     let parts = stack.layers.iter().map(|layer| layer.data().len());
     let unknowns: usize = parts.chain(stack.emission.as_ref().map(|emission| emission.data().len())).sum();
-    let rays: u64 = target.geometry.grid.iter().map(|view| target.view(view).error.count).sum();
+    // Count the values of the measured views' rays. All other views have about as many per view.
+    let measured: u64 = target.geometry.grid.iter().map(|view| target.view(view).error.count).sum();
+    let [views, measured_views] = [grid, &target.geometry.grid].map(|grid| grid.iter().count());
+    let rays = measured * views as u64 / measured_views as u64;
     let ratio = unknowns as f64 / rays as f64;
-    let views: usize = target.geometry.grid.views().iter().product();
     let (layers, frames) = (stack.layers.len(), stack.frames());
     let emitter = if stack.emission.is_some() { " and the backlight's values" } else { "" };
     let mut text = format!(

@@ -1,5 +1,6 @@
 //! Results of the denoiser: the bias of each view, and a picture of the difference.
 
+use lumistack_display::ViewGrid;
 use maud::{Markup, html};
 
 use super::{figure, legend};
@@ -9,7 +10,8 @@ use crate::{ReportError, ReportInput, format};
 /// Maximum number of pixels of the three pictures together.
 const BUDGET: usize = 1_500_000;
 
-pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
+/// Returns the section. `grid` has all views of the target.
+pub(super) fn section(input: &ReportInput, grid: &ViewGrid) -> Result<Markup, ReportError> {
     let Some(denoising) = input.denoising else { return Ok(html! {}) };
     let geometry = input.target.geometry();
     let (rows, cols) = (geometry.rows, geometry.cols);
@@ -25,6 +27,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
     let end = format::number(1.0 / f64::from(gain));
     let overall = denoising.overall;
     let relative = |value: f64| format!("{:+.3} %", 100.0 * value).replace('-', "−");
+    let measured = grid.iter().zip(&denoising.views).filter(|(_, figures)| !figures.mse_before[0].is_nan());
     Ok(html! {
         section id="denoising" {
             h2 { "Denoising" }
@@ -42,12 +45,12 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
             }
             (legend(&DIVERGING, &[format!("≤ −{end} darker than rendered"), "0".into(), format!("≥ +{end} brighter")]))
             details {
-                summary { "Per view" }
+                summary { "Per measured view" }
                 div class="scroll" {
                     table class="layers" {
                         thead { tr { @for name in ["view (row, column)", "mean changed by", "error before", "error after"] { th scope="col" { (name) } } } }
                         tbody {
-                            @for (view, figures) in geometry.grid.iter().zip(&denoising.views) {
+                            @for (view, figures) in measured {
                                 tr {
                                     td { (view[0]) ", " (view[1]) }
                                     td { (relative(figures.mean_change[0] / figures.mean)) }

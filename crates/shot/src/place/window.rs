@@ -72,8 +72,9 @@ pub struct Found {
 ///
 /// # Errors
 /// When the job names a camera that does not exist, or gives numbers that make no rectangle. Also
-/// when a key or a camera is missing that its `from` requires, when a camera that the job requests
-/// makes no rectangle, when the scene cannot be framed or rendered, or when cancelled.
+/// when a key or a camera is missing that its `from` requires, or when a camera that the job
+/// requests makes no rectangle. Also when the scene cannot be framed or rendered, or when
+/// cancelled.
 pub fn find_window<S: Subject>(
     subject: &S,
     job: &WindowJob,
@@ -258,7 +259,7 @@ fn close_up<S: Subject>(
     recentre: bool,
     task: Task<'_>,
 ) -> Result<Window, S::Error> {
-    let of = format!("{window:?} {recentre}");
+    let of = format!("{window:?} {recentre} {:?} {}", geometry.grid.projection, geometry.cols);
     let (place, factor): ([f64; 2], f64) = subject.remembered("window", &of, || {
         let renderer = subject.renderer(task)?;
         // a coarse view from straight ahead suffices to locate the scene

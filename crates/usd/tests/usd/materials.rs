@@ -283,6 +283,9 @@ fn large_shaders_keep_what_has_a_counterpart_and_name_the_rest() {
         json!({"alpha_mode": {"value": [1]}, "alpha": {"value": [0.2]}, "metallic": {"value": [0]}}),
     );
     assert_eq!((gltf.alpha_mode, gltf.metallic, gltf.roughness), (AlphaMode::Mask { cutoff: 0.5 }, 0.0, 1.0));
+    // its base colour tints transmitted light, as in glTF
+    let (_, red, _) = shader("gltf_pbr", json!({"base_color": {"value": [1, 0, 0]}, "transmission": {"value": [1]}}));
+    assert_eq!((red.transmission, red.base_color), (1.0, Vec4::new(1.0, 0.0, 0.0, 1.0)));
 }
 
 fn lit(light: Value) -> (Scene, Vec<Warning>) {

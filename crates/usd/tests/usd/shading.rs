@@ -237,6 +237,8 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     assert_eq!(through(mixed), Some(plain.clone()));
     let half = through(&mixed.replace("mix = 1", "mix = 0.5")).unwrap();
     assert!(half != plain && half.len() == plain.len());
+    let without_amount = through(&mixed.replace("float inputs:mix = 1", "")).unwrap();
+    assert_eq!(without_amount, through(&mixed.replace("mix = 1", "mix = 0")).unwrap());
     // nodes that invert green reverse the y of the map's normals
     let flipped = through(&node("ND_normalmap", "flipped", "")).unwrap();
     let directions = |pixels: &Pixels| -> Vec<Vec3> {
