@@ -151,7 +151,7 @@ def web_simulator(folder):
 
 
 def image_magick(folder):
-    """Checks all PNG files of the folder with ImageMagick, a third reader of PNG files."""
+    """Checks all PNG files of the folder with ImageMagick, an independent reader besides Pillow."""
     if not shutil.which("identify"):
         return print("skipped: no ImageMagick")
     for file in folder.rglob("*.png"):

@@ -18,7 +18,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 /// A process `lumistack live`, and its events.
 pub(crate) struct Live {
     process: Child,
-    /// `None` after the program has ended.
+    /// Standard input; `None` after a test has closed it.
     input: Option<ChildStdin>,
     events: Receiver<Value>,
 }

@@ -477,9 +477,8 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     assert!(show.ended().0.success());
 }
 
-/// Ends presentations in every way and at random times, some before they have begun. They must end
-/// quickly and without a crash. The variable `LUMISTACK_PANELS_TURNS` sets the number of
-/// presentations.
+/// Ends presentations in random ways and at random times, some before they have begun. They must
+/// end without a crash. The variable `LUMISTACK_PANELS_TURNS` sets the number of presentations.
 fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn FnMut(u32)) {
     let turns = std::env::var("LUMISTACK_PANELS_TURNS").ok().and_then(|turns| turns.parse().ok()).unwrap_or(turns);
     let folder = tempfile::tempdir().unwrap();

@@ -117,8 +117,8 @@ fn display(head: &str, every_layer: &str, front: &str, backlight: &str, layers: 
 }
 
 /// A display is solved once for its native views (the automatic number) and once for 3 × 3 views.
-/// With native views, the display's score over the viewing zone is higher. This holds for any
-/// hardware, brightness and number of frames.
+/// With native views, the display's score over the viewing zone is higher. This holds for all cases
+/// of hardware, brightness and number of frames that the test lists.
 #[test]
 fn native_views_pay_with_any_hardware() {
     let three = [-40.0, 0.0, 40.0];

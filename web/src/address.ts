@@ -8,9 +8,9 @@ export class Address {
   private timer: ReturnType<typeof setTimeout> | undefined;
 
   /**
-   * Returns the part of the address after `#`, which describes a state. The text includes the
-   * viewing position, unless the view swings or looks straight ahead. With `always` the text always
-   * includes the position.
+   * Returns `#` and the text that describes a state; an empty text if all values are defaults. The
+   * text includes the viewing position, unless `state.swing` is true or the view looks straight
+   * ahead. With `always` the text always includes the position.
    */
   static hash(state: State, slope: Slope, always: boolean): string {
     const still = always || (!state.swing && slope.some((value) => value !== 0));

@@ -108,13 +108,16 @@ export class StackContent implements Content {
     return { kind: "mask", field: [field.cols, field.rows], layer, frame, size: [cols, rows], backlight: layer >= layers.length };
   }
 
-  /** Returns the PSNR for the target's view nearest to the slope, as text: "31.4 dB · view 3, 2 of 7 × 5". */
+  /**
+   * Returns the PSNR for the target's view nearest to the slope, as text: "31.4 dB · view 3, 2 of
+   * 7 × 5". If there is no PSNR, the text states this.
+   */
   async psnr(slope: Slope): Promise<string> {
     const [row, col] = nearestView(this.info, slope);
     const { cols, rows } = this.info.views;
     const name = `view ${col + 1}, ${row + 1} of ${cols} × ${rows}`;
     const db = await this.engine?.call("psnr", [slope[0], slope[1]]);
-    if (db === undefined) return `${name}: target not loaded yet`;
+    if (db === undefined) return `${name}: no PSNR, for example because the target is not loaded yet`;
     return `${Number.isFinite(db) ? db.toFixed(1) : "∞"} dB · ${name}`;
   }
 

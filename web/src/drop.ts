@@ -11,13 +11,13 @@ const PICTURE = /\.(png|jpe?g|webp|avif|gif|bmp)$/i;
 const QUILT = /_qs(\d+)x(\d+)(?:a([0-9.]+?))?\.[a-z]+$/i;
 /** Patterns of names with a view's row and column: view_03_07.png, out_00_05_-381.9_1017.5_.png, 3_7.png. */
 const ROW_COL = [/^view[_-](\d+)[_-](\d+)\b/i, /^out[_-](\d+)[_-](\d+)[_-]/i, /(\d+)[_-](\d+)\.[a-z]+$/i];
-/** Pattern of names with one number, which counts the views row by row: input_Cam004.png. */
+/** Pattern of names that end in a number, which counts the views row by row: input_Cam004.png. */
 const RUNNING = /(\d+)\.[a-z]+$/i;
 const MOST_FILES = 20000;
 
 /**
- * Returns the dropped files by path, including the files in dropped folders. If there are more than
- * MOST_FILES files, it returns only a part of them.
+ * Returns the dropped files by path, including the files in dropped folders. The search in folders
+ * ends after MOST_FILES + 1 files.
  */
 export async function filesOf(transfer: DataTransfer): Promise<Map<string, File>> {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.() ?? null);
@@ -81,7 +81,7 @@ function quiltOf(file: File): Dropped {
 /**
  * Arranges views by their names in a grid: rows from the top, columns from the left. If the names
  * do not state a complete grid, the views have the order of their names. Then they form a square,
- * if every name has a number and the number of views is a square. Otherwise they form one row.
+ * if every name ends in a number and the number of views is a square. Otherwise they form one row.
  */
 export function gridOf(pictures: readonly (readonly [string, File])[]): File[][] {
   const named = pictures.map(([path, file]) => ({ file, name: path.replace(/^.*\//, "") })).sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));

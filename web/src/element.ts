@@ -194,8 +194,9 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-   * Returns the RGBA bytes of the current picture, in the light field's size. In the side-by-side
-   * comparison these are the bytes of the display's picture alone, without the target.
+   * Returns the RGBA bytes of the current picture. Views and comparisons have the light field's
+   * size. In the side-by-side comparison these are the bytes of the display's picture alone,
+   * without the target. Before the first picture, the result is one transparent pixel.
    */
   async pixels(): Promise<ImageData> {
     const shot = this.shot();
@@ -253,6 +254,7 @@ export class LumistackViewer extends HTMLElement {
   async renew(files: readonly ArrayBuffer[]): Promise<void> {
     if (!(this.content instanceof StackContent)) return;
     await this.content.renew(files);
+    this.sheet.forget();
     this.stateChanged();
   }
 
@@ -559,7 +561,7 @@ export class LumistackViewer extends HTMLElement {
 
   /**
    * Returns an object that computes seen pictures for other displays (headset, lenticular panel);
-   * undefined without patterns.
+   * undefined while no frame is complete.
    */
   private views(): Views | undefined {
     const info = this.content?.info;

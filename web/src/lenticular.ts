@@ -164,7 +164,7 @@ export async function weave(views: Views, panel: Calibration): Promise<HTMLCanva
   [canvas.width, canvas.height] = [panel.cols, panel.rows];
   const gl = canvas.getContext("webgl2", { preserveDrawingBuffer: true, antialias: false, alpha: false, depth: false });
   if (!gl || gl.drawingBufferWidth !== panel.cols || gl.drawingBufferHeight !== panel.rows) {
-    throw new Problem(`The panel has ${panel.cols} × ${panel.rows} pixels, more than this browser draws.`, "Use another browser or computer.", false);
+    throw new Problem(`The panel needs a WebGL2 canvas of ${panel.cols} × ${panel.rows} pixels, which this browser does not provide.`, "Use another browser or computer.", false);
   }
   const { cols, rows, width_mm, height_mm } = views.info.field;
   gl.bindTexture(gl.TEXTURE_2D_ARRAY, gl.createTexture());

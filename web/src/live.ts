@@ -1,6 +1,6 @@
 // Makes the page's viewer follow `lumistack live`: requests the newest state and shows it without a
-// reload of the page. A bar below the viewer reports the connection. The bar has a switch: if it is
-// on, the program treats the view as a tracked head.
+// reload of the page. A bar below the viewer reports the connection. If no tracker is used, the bar
+// has a switch: if it is on, the program treats the view as a tracked head.
 //
 // An answer contains one state: length of the JSON as u32 | JSON | files in the order of
 // preview.json. The viewer's attribute `data-state` is the number of the current state.

@@ -5,14 +5,14 @@ import type { Slope } from "./state.js";
 /** Stiffness of the spring divided by the mass, s⁻², and damping of the spring as a fraction of critical damping. */
 const STIFFNESS = 130;
 const DAMPING = 0.92;
-/** Largest slope of the view, in half widths of the zone. */
+/** Largest slope to which input moves the view, in half widths of the zone. */
 export const REACH = 1.4;
 /** Time without input after which the view swings, and duration of one swing to and fro, seconds. */
 const IDLE_S = 4;
 const PERIOD_S = 8;
 /** Amplitudes of the swing along x and y, in half widths of the zone. */
 const SWING: Slope = [0.78, 0.3];
-/** At the end of a flick (a fast drag) the goal is the position that the drag's speed would reach in this time, s. */
+/** At the end of a drag, the goal is where the eye would be after this time at its speed, s. */
 const FLING_S = 0.22;
 
 export class Motion {
@@ -32,7 +32,7 @@ export class Motion {
   swing = true;
   /** True if the user prefers less motion: the eye then jumps to its goal without the spring. */
   calm = false;
-  /** True until the first input of the user. */
+  /** True until the first input of the user, or until a slope is set. */
   fresh = true;
   /** Seconds since the start of a recorded turn around the viewing zone; undefined without a turn. */
   private turnS: number | undefined;
@@ -48,13 +48,13 @@ export class Motion {
     return [this.at[0], this.at[1]];
   }
 
-  /** True if the next call of `step` may change the slope. */
+  /** True while the spring, a swing or a turn moves the eye. */
   get active(): boolean {
     const restless = [0, 1].some((i) => Math.abs(this.goal[i]! - this.at[i]!) > 2e-5 || Math.abs(this.speed[i]!) > 2e-5);
     return restless || this.swinging || this.turnS !== undefined;
   }
 
-  /** Seconds until the swing begins; undefined if none will begin. */
+  /** Seconds until the swing begins; undefined if the view already swings or may not swing. */
   get untilSwingS(): number | undefined {
     return this.swing && !this.held && !this.swinging ? Math.max(IDLE_S - this.quietS, 0) : undefined;
   }

@@ -137,6 +137,6 @@ function store(folder: string): void {
   try {
     localStorage.setItem(FOLDER, folder);
   } catch {
-    // A page that was opened from a file has no storage; the input field keeps the text.
+    // Some pages have no storage, for example pages from a file; the input field keeps the text.
   }
 }

@@ -1,5 +1,5 @@
 // The contact sheet of the mode "layers": a thumbnail for each mask of each layer, and for each
-// frame of the backlight.
+// frame of a directional backlight.
 import type { Info } from "./info.js";
 
 const THUMB_PX = 46;
@@ -52,7 +52,7 @@ export class Sheet {
     this.box.replaceChildren();
   }
 
-  /** Removes the thumbnails after the patterns have changed. */
+  /** Called after the patterns have changed. The next call of `show` draws all thumbnails again. */
   forget(): void {
     this.drawn.clear();
   }
@@ -145,8 +145,8 @@ export function sizeOf(info: Info, layer: number): [number, number] {
 }
 
 /**
- * Returns the index of the last row of masks: the row of a directional backlight, otherwise the row
- * of the last layer.
+ * Returns the largest index of a row of masks: the index of a directional backlight, otherwise the
+ * index of the front layer.
  */
 export function lastMask(info: Info): number {
   return Math.max(info.layers.length - (info.directional && info.backlight ? 0 : 1), 0);

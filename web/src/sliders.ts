@@ -127,7 +127,10 @@ function shiftRange(info: Info): { min: number; max: number; step: number } {
   return { min: -most, max: most, step: most / 50 };
 }
 
-/** Returns the largest number of the form 1, 2 or 5 times a power of ten, up to `value`. */
+/**
+ * Returns the largest number of the form 1, 2 or 5 times a power of ten, up to `value`; 1 if
+ * `value` is not above 0.
+ */
 function nice(value: number): number {
   if (!(value > 0)) return 1;
   const power = 10 ** Math.floor(Math.log10(value));

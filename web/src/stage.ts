@@ -15,7 +15,7 @@ export interface StageEvents {
   failed(error: unknown): void;
 }
 
-/** Largest width or height of a canvas, pixels. A larger canvas costs time and shows no more detail. */
+/** Largest width or height of the exploded stack's picture, pixels. A larger picture costs time. */
 const MOST_PX = 2400;
 
 export class Stage {

@@ -92,7 +92,7 @@ export const TEMPLATE = `
     <details class="part" id="build">
       <summary>How it is built</summary>
       ${range("gain", "Adaptation", "Factor on the light. For an eye that is adapted to the brightness β, the factor is 1/β.")}
-      ${range("gap", "Gap error", "Added to every gap between layers.")}
+      ${range("gap", "Gap error", "Added to every gap between layers, and to the gap to a directional backlight.")}
       ${range("shiftx", "Misalignment across", "Offset of the front layer to the right.")}
       ${range("shifty", "Misalignment upwards", "Offset of the front layer upwards.")}
       ${range("black", "Black level", "Fraction of the light that a closed pixel transmits.")}

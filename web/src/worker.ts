@@ -27,6 +27,7 @@ const methods = {
   /** Replaces all files in one call, so that no drawn picture mixes old and new patterns. */
   renew(files: readonly ArrayBuffer[]): void {
     files.forEach((bytes, index) => viewer!.put(index, new Uint8Array(bytes)));
+    painter!.forget();
   },
   options(json: string): void {
     viewer!.set_options(json);

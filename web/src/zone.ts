@@ -9,7 +9,7 @@ const SVG = "http://www.w3.org/2000/svg";
 const WIDTH = 240;
 const LEAST_HEIGHT = 64;
 const MOST_HEIGHT = 150;
-/** Half width of the drawing, in half widths of the zone. It is a little more than the eye's largest slope. */
+/** Half width of the drawing, in half widths of the zone. It is a little more than REACH. */
 const SHOWN = REACH * 1.06;
 
 export class ZoneMap {

@@ -157,7 +157,7 @@ test("a context that is never restored: a new canvas replaces it", async () => {
   await page.context().close();
 });
 
-test("invalid values in the address: the defaults are used", async () => {
+test("invalid values in the address: the default mode is used, without an error", async () => {
   const { page, error } = await shown(good, {}, "#mode=sideways&x=NaN&gap=1e99&split=-3&frame=77&layer=9&gain=-1&rate=0");
   assert.equal(error, undefined);
   assert.equal(await page.evaluate(() => document.querySelector("lumistack-viewer").mode), "perceived");

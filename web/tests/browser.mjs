@@ -63,7 +63,10 @@ export async function open(browser, url, options = {}) {
   return page;
 }
 
-/** Waits until the element has loaded all files. Returns the message if this fails, otherwise undefined. */
+/**
+ * Waits until every file has arrived or failed. Returns the message if no frame is complete,
+ * otherwise undefined.
+ */
 export function complete(page) {
   return page.evaluate(() =>
     document.querySelector("lumistack-viewer").complete.then(

@@ -198,8 +198,8 @@ test("no task blocks the page while patterns are decoded and pictures drawn", as
   files.set("stack/preview.json", Buffer.from(JSON.stringify({ ...preview, files: listed })));
   const large = await site(files);
   try {
-    // Other programs on the machine also make tasks long. So two long tasks are allowed, and
-    // one of up to three loads must have no more.
+    // Other programs on the machine also make tasks long. So two long tasks of at most twice
+    // LONG_MS are allowed, and one of up to three loads must have no more.
     const loads = [];
     const isQuiet = (long) => long.length <= 2 && long.every((ms) => ms <= 2 * LONG_MS);
     while (loads.length < 3 && !loads.some(isQuiet)) {

@@ -1,4 +1,4 @@
-// The npm package. It is packed from the committed files alone, imported with its types, bundled,
+// The npm package. It is packed from the files that git tracks, imported with its types, bundled,
 // and shown in a browser.
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
@@ -17,7 +17,7 @@ const folder = mkdtempSync(join(tmpdir(), "lumistack-package-"));
 const user = join(folder, "user");
 const run = (cwd, ...args) => execFileSync(args[0], args.slice(1), { cwd, encoding: "utf8", stdio: ["ignore", "pipe", "inherit"], shell: process.platform === "win32" });
 before(() => {
-  // A clone has only committed files: neither pkg/ nor node_modules/.
+  // Copy only the files that git tracks, as a clone does: neither pkg/ nor node_modules/.
   const clone = join(folder, "clone");
   for (const path of run(WEB, "git", "ls-files").trim().split("\n")) {
     mkdirSync(dirname(join(clone, path)), { recursive: true });

@@ -36,9 +36,9 @@ pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
 
 /// Limits how much of a mapped file is in memory.
 ///
-/// Callers announce the bytes that they use next. Once `limit` bytes have been announced, all pages
-/// are released, and the count begins anew. The system keeps released pages in its cache if it has
-/// room, and maps them again at their next use.
+/// Callers announce the bytes that they use next. Once more than `limit` bytes have been announced,
+/// all pages are released, and the count begins anew. The system keeps released pages in its cache
+/// if it has room, and maps them again at their next use.
 ///
 /// So the pages in memory take at most the limit, plus the bytes that all threads use together. For
 /// each byte that is read, the system maps up to [`NEIGHBOURS`](Self::NEIGHBOURS) bytes around it.

@@ -282,8 +282,8 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     Ok(strip)
 }
 
-/// Returns the highest frequency with a contrast of at least [`SHOWN`] for each depth. A pair is [z
-/// in millimetres, frequency divided by the highest frequency of the pixels].
+/// Returns, for each depth, the frequency up to which the contrast is at least [`SHOWN`]. A pair is
+/// [z in millimetres, frequency divided by the highest frequency of the pixels].
 pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> {
     let mut by_depth: Vec<(f64, Vec<&Contrast>)> = Vec::new();
     for contrast in found {

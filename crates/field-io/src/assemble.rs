@@ -5,7 +5,7 @@
 //! camera, this camera sees content of disparity k (pixels per step) k·x pixels further left and
 //! k·y pixels lower. That content moves to z = 0 if pixel (column c, row r) of this camera's view
 //! is read at column c − k·x and row r + k·y. The result is the rectangle of pixels that exist in
-//! all views.
+//! all kept views, possibly cropped to the aspect of [`GeometryFlags::resolution`].
 
 use std::path::Path;
 
@@ -352,7 +352,8 @@ fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
 }
 
 /// Returns the disparity between the two central views: the shift of content to the left (or down)
-/// while the viewpoint moves one step to the right (or up).
+/// while the viewpoint moves one step to the right (or up). `None` for a single view, or if
+/// [`disparity::motion`] finds no motion.
 fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError> {
     let positions = positions(source);
     let [rows, cols] = source.views;

@@ -125,7 +125,7 @@ pub(crate) fn publish(beside: tempfile::NamedTempFile, path: &Path) -> io::Resul
 const YOUNG: Duration = Duration::from_secs(2);
 
 /// Returns true for a temporary file without a writer: the writer was killed or stopped, or the
-/// file was set aside.
+/// file was set aside. Returns false in the first two seconds after the file's last change.
 pub fn is_abandoned(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {

@@ -19,7 +19,8 @@ use crate::geometry::{Cameras, Hints, place};
 use crate::picture::{Picture, has_picture_extension};
 use crate::source::{Kind, Source, Views};
 
-/// Two centres are regarded as equal if their distance is below this fraction of the mean spacing.
+/// Two centres are regarded as equal if their distance is at most this fraction of the mean
+/// spacing.
 const SAME_CENTRE: f64 = 1e-3;
 
 /// Views that are pictures of one size.
@@ -91,7 +92,7 @@ struct CameraName {
 pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, FieldError> {
     let mut cameras = Vec::new();
     for file in pictures(folder)? {
-        // read only the numbers of a name; the text in front of them may have any encoding
+        // the text in front of the numbers may have any encoding, so decode the name lossily
         let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         if let Some(name) = parse_name(&stem) {
             cameras.push((name, file));
@@ -172,7 +173,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
             }
         }
     }
-    // Order rows and columns by the cameras' centres, if the names contain them.
+    // Order rows and columns by the cameras' centres, if the names contain distinct centres.
     let centres = Centres::new(&by_index, &rows, &cols);
     if let Some(centres) = &centres {
         let x = |col: &u32| centres.x[cols.binary_search(col).unwrap_or(0)];
@@ -247,8 +248,8 @@ fn spacing(sorted: &[f64]) -> f64 {
     }
 }
 
-/// Shifts positions so that the middle between the first and the last is 0. Positions that are a
-/// whole number of steps apart become exact.
+/// Shifts positions so that the middle between the first and the last is 0. Positions that differ
+/// from a multiple of half a step by less than [`SAME_CENTRE`] are rounded to the multiple.
 fn middle_zero(positions: impl Iterator<Item = f64>) -> Vec<f64> {
     let positions: Vec<f64> = positions.collect();
     let middle = 0.5 * (positions.first().unwrap_or(&0.0) + positions.last().unwrap_or(&0.0));

@@ -34,7 +34,8 @@ const TEXTURE: f32 = 0.01;
 const DISTINCT: f32 = 1.5;
 
 /// Returns the motion along `axis` (0: columns, 1: rows) between two pictures `[row][col][rgb]` of
-/// `size` = [columns, rows]. `None` if the pictures are too small or have too little texture.
+/// `size` = [columns, rows]. `None` if the pictures are too small, or if too few blocks have a
+/// distinct minimum.
 pub(crate) fn motion(first: &[f32], second: &[f32], size: [usize; 2], axis: usize) -> Option<Motion> {
     let (length, lines) = (size[axis], size[1 - axis]);
     let first = Lines::new(first, size, axis);

@@ -1,5 +1,6 @@
-//! Errors of files. Every message names the file or folder. The message of malformed content also
-//! states the position in the file, the expected value and the found value.
+//! Errors of files. Every message names the file or folder, except the message of
+//! [`FieldError::Cancelled`]. The message of malformed content also states the position in the
+//! file, the expected value and the found value.
 
 use std::io;
 use std::path::{Path, PathBuf};

@@ -107,7 +107,7 @@ pub fn view_file_name(views: [usize; 2], view: [usize; 2]) -> String {
 /// index.
 ///
 /// # Errors
-/// If a value is not finite, or the files cannot be written.
+/// If a value is not finite or its magnitude is above 65504, or the files cannot be written.
 pub fn write_field(folder: &Path, field: &LightField, info: &Map<String, Value>) -> Result<(), FieldError> {
     atomic::create_folder(folder)?;
     atomic::remove(&folder.join(INDEX))?;
@@ -121,7 +121,7 @@ pub fn write_field(folder: &Path, field: &LightField, info: &Map<String, Value>)
 /// one.
 ///
 /// # Errors
-/// If a value is not finite, or the file cannot be written.
+/// If a value is not finite or its magnitude is above 65504, or the file cannot be written.
 ///
 /// # Panics
 /// If `rgb` has another length than the geometry requires.
@@ -161,7 +161,8 @@ fn write_view_as(
 /// of all views and `"partial": true`, and readers refuse the folder.
 ///
 /// # Errors
-/// If a value is not finite, or the files cannot be written.
+/// If a value is not finite, or the files cannot be written. With [`Precision::Half`] also if the
+/// magnitude of a value is above 65504.
 pub fn write_views(
     folder: &Path,
     field: &LightField,
@@ -255,8 +256,8 @@ fn write_index_of(
 /// Reads the folder of a light field, and `info` of its index.
 ///
 /// # Errors
-/// If the index is malformed, a view is missing, damaged or of another size, or a value is not
-/// finite.
+/// If the index is malformed, or a view is missing, damaged or of another size. Also if a value is
+/// not finite or its magnitude is above 65504.
 pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value>), FieldError> {
     let mut source = source(folder)?;
     let info = std::mem::take(&mut source.info);
@@ -271,8 +272,8 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
 /// `geometry` is the geometry of the result. Besides the result, only one view is in memory.
 ///
 /// # Errors
-/// The errors of [`read_field_folder`]. Also if the folder has other views than the geometry, or
-/// fewer pixels than the region.
+/// The errors of [`read_field_folder`], except errors of values, which are not checked. Also if the
+/// folder has another number of views than the geometry, or fewer pixels than the region.
 pub fn read_field_region(
     folder: &Path,
     geometry: FieldGeometry,

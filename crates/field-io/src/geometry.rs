@@ -94,7 +94,8 @@ pub(crate) struct Cameras {
     /// Focal length, in pixels of the files.
     pub(crate) focal_px: Option<f64>,
     /// Slope between neighbouring cameras: a step divided by the distance of the plane of zero
-    /// disparity. 0 for parallel cameras, for which that plane is at infinity.
+    /// disparity. 0 if the slope is unknown, and for parallel cameras, for which that plane is at
+    /// infinity.
     pub(crate) slope_per_step: f64,
     /// True if the file does not state the plane of zero disparity. The focus then follows from the
     /// content of the pictures.

@@ -82,7 +82,7 @@ pub(crate) fn write_values(mut writer: impl Write, data: &[f32]) -> io::Result<(
 /// Reads a whole array as `f32`, and its shape.
 ///
 /// # Errors
-/// If the file is not an array, or is shorter than its header declares.
+/// The errors of [`NpyFile::open`]. Also if there is too little memory, or reading fails.
 pub fn read(path: &Path) -> Result<(Vec<usize>, Vec<f32>), FieldError> {
     let mut array = NpyFile::open(path)?;
     let count = array.len();
@@ -95,8 +95,8 @@ impl NpyFile {
     /// Opens an array and checks the file's length against its header.
     ///
     /// # Errors
-    /// If the header is malformed, the order is Fortran's, the type of the values is not supported,
-    /// or the file is too short.
+    /// If the file cannot be read or is too short, the header is malformed, or the type of the
+    /// values is not supported. Also if an array of several axes has Fortran's order.
     pub fn open(path: &Path) -> Result<Self, FieldError> {
         let mut file = BufReader::new(lumistack_files::open(path).map_err(FieldError::io(path, "read"))?);
         let file_length = lumistack_files::length(file.get_ref()).map_err(FieldError::io(path, "read"))?;
@@ -146,7 +146,7 @@ impl NpyFile {
     }
 
     /// Lends the values directly from the file. `None` if the file stores them differently from
-    /// this machine, or the values take less than `least_bytes`.
+    /// this machine, the values take less than `least_bytes`, or the file cannot be mapped.
     pub(crate) fn lent(&self, least_bytes: u64) -> Option<lumistack_core::Lender> {
         let is_plain = self.scalar == Scalar::F32 && !self.big_endian;
         let is_large = 4 * self.len() as u64 >= least_bytes;

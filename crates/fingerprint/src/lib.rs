@@ -44,7 +44,7 @@ pub fn emit(more: &[&str]) {
 /// [`emit`].
 ///
 /// # Errors
-/// If a file cannot be read.
+/// If a file or folder cannot be read.
 pub fn of(folder: &Path, more: &[&str]) -> io::Result<String> {
     let mut files = Vec::new();
     for part in [&[SOURCES], more].concat() {

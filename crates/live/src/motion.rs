@@ -305,8 +305,7 @@ fn smoothed([rows, cols]: [usize; 2], shifts: &[[i32; 2]]) -> Vec<[i32; 2]> {
 /// Moves patterns along the flows, in every frame. A pixel whose source is outside the layer gets
 /// its value from `fresh`.
 ///
-/// # Panics
-/// If the patterns have different shapes, or the flows do not belong to the patterns' planes.
+/// Both patterns must have the same shapes, and the flows must belong to the patterns' planes.
 pub fn moved(stack: &LayerStack, flows: &[Flow], fresh: &LayerStack) -> LayerStack {
     let mut out = fresh.clone();
     let layers = out.layers.iter_mut().zip(&stack.layers).map(|(to, from)| (to.data_mut(), from.data()));

@@ -32,8 +32,8 @@ const GOOD_DB: f64 = 20.0;
 /// field.
 const STRIP: usize = 16;
 
-/// A strip is solved before the whole display if new content has entered more than this fraction of
-/// its pixels.
+/// A strip is solved before the whole display if, on any layer or on the backlight, new content has
+/// entered more than this fraction of its pixels.
 const NEW: f64 = 0.25;
 
 /// Number of iterations of a strip, before the whole display is solved. In a measurement, content

@@ -15,9 +15,10 @@ pub struct Axes {
     pub x_label: String,
     /// Label of the vertical axis, with its unit.
     pub y_label: String,
-    /// Ends of the horizontal axis; `None` uses the extremes of the points.
+    /// Ends of the horizontal axis; `None` chooses a range that contains all points.
     pub x: Option<[f64; 2]>,
-    /// Ends of the vertical axis; `None` uses the extremes of the points.
+    /// Ends of the vertical axis; `None` chooses a range that contains all points, and the levels of
+    /// [`curves`].
     pub y: Option<[f64; 2]>,
 }
 
@@ -85,7 +86,7 @@ const FINE: u32 = 4;
 /// horizontal lines at `levels` (name, y).
 ///
 /// # Errors
-/// If there is nothing to draw.
+/// If an axis has no given ends, and no finite point or level determines them.
 pub fn curves(axes: &Axes, curves: &[Curve], bars: &[[f64; 3]], levels: &[(String, f64)]) -> Result<String, PlotError> {
     let points = || curves.iter().flat_map(|curve| &curve.points).filter(|p| p.iter().all(|v| v.is_finite()));
     let x = axes.x.or_else(|| ends(points().map(|p| p[0]), 0.0));
@@ -138,7 +139,7 @@ pub fn curves(axes: &Axes, curves: &[Curve], bars: &[[f64; 3]], levels: &[(Strin
 /// Draws areas over one another, the largest first.
 ///
 /// # Errors
-/// If there is nothing to draw.
+/// If an axis has no given ends, and no finite corner determines them.
 pub fn areas(axes: &Axes, areas: &[Area]) -> Result<String, PlotError> {
     let corners = || areas.iter().flat_map(|area| &area.corners).filter(|p| p.iter().all(|v| v.is_finite()));
     let x = axes.x.or_else(|| ends(corners().map(|p| p[0]), 0.06));
@@ -170,7 +171,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
     if rows == 0 || cols == 0 {
         return Err(PlotError::new("expected a map with cells, found none"));
     }
-    // Size the cells so that the map takes at most about 560 × 300 units.
+    // Size the cells for a map of at most about 560 × 300 units. Cells have at least 34 × 24 units.
     let cell = [(560 / cols as i32).clamp(34, 84), (300 / rows as i32).clamp(24, 46)];
     let [left, top, below] = [74, 44, 58];
     let size = ((left + cell[0] * cols as i32 + 26).max(420) as u32, (top + cell[1] * rows as i32 + below) as u32);

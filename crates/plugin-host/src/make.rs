@@ -13,7 +13,7 @@ use crate::{HostError, Registry};
 /// validated. `read` reads `file` and other files in its folder.
 ///
 /// # Errors
-/// If no importer has this id, or the importer refuses the parameters or fails.
+/// If no importer has this id, or the importer refuses the parameters, fails or is cancelled.
 pub fn import_scene(
     registry: &Registry,
     id: &str,
@@ -30,8 +30,8 @@ pub fn import_scene(
 /// Runs the source `id` for one time step and returns its light field.
 ///
 /// # Errors
-/// If no source has this id, or the source refuses the parameters, fails, or returns an invalid
-/// light field.
+/// If no source has this id, or the source refuses the parameters, fails, is cancelled, or returns
+/// an invalid light field.
 pub fn make_field(
     registry: &Registry,
     id: &str,
@@ -48,8 +48,9 @@ pub fn make_field(
 /// Runs the node `id` for one time step and returns its layer stack.
 ///
 /// # Errors
-/// If no node has this id, if the node refuses the parameters or the display, or if it fails. Also
-/// if the layer stack does not match the display.
+/// If no node has this id, if the node refuses the parameters or the display, or if it fails or is
+/// cancelled. Also if the weights do not match the light field, or the start or the returned layer
+/// stack does not match the display.
 pub fn make_stack(
     registry: &Registry,
     id: &str,

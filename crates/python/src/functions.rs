@@ -44,7 +44,8 @@ use crate::work::{command, long};
 /// * angular_filter: "point", "bin" or "display"
 /// * lens_deg: aperture of a lens that is focused on the display plane, as the full angle seen from
 ///   this plane, degrees, 0 to 90
-/// * camera: name or number of the camera whose plane of focus becomes the display plane
+/// * camera: name or number of the camera that sees the scene; its plane of focus, if any, becomes
+///   the display plane
 /// * look_from: (azimuth, elevation) from which the scene is seen, degrees
 /// * fit_depth: "auto", "off", "move" or "compress"
 /// * depth_scale: factor on parallax, 0.001 to 10
@@ -182,7 +183,7 @@ pub(crate) fn render(
 /// * brightness: β, above 0 and at most 1, instead of the display's brightness
 /// * frames: M, 1 to 1000, instead of the display's number of frames
 /// * solver: "auto", "multiplicative" (the paper's rule), "block-exact" or "extrapolated"
-/// * iterations: number of iterations; each updates every factor once
+/// * iterations: number of iterations, by default 50; each updates every factor once
 /// * start: "auto", "random", "smooth" or "content"
 /// * coarse_levels, coarse_iterations: number of coarser levels, each at half the resolution of the
 ///   next finer level, and iterations at each coarser level
@@ -500,7 +501,8 @@ pub(crate) fn displays() -> Vec<&'static str> {
     presets::PRESETS.iter().map(|(name, _)| *name).collect()
 }
 
-/// Returns the defaults of all settings of a job.
+/// Returns the defaults of a job's settings. Settings without a fixed default, such as samples and
+/// iterations, are absent.
 ///
 /// >>> defaults()["render"]["max_bounces"]
 /// 6

@@ -49,8 +49,8 @@ pub(crate) struct Scene {
 
 impl Scene {
     /// Reads a file or a stage. A stage is read in this process. A USD file is read in this process
-    /// if this Python has OpenUSD and the caller names no importer. Otherwise another Python reads
-    /// the USD file, as in the command.
+    /// if this Python has OpenUSD and the caller names no importer. All other files are read as in
+    /// the command, which reads USD without a named importer in another Python.
     pub(crate) fn load(
         py: Python<'_>,
         source: &Bound<'_, PyAny>,
@@ -194,7 +194,7 @@ impl Scene {
         splats::to_python(py, &self.ingested.scene)
     }
 
-    /// The file that was read; for a stage in memory its identifier.
+    /// The file that was read; for a stage its identifier, and for splats from arrays their name.
     #[getter]
     fn path(&self) -> PathBuf {
         self.path.clone()
@@ -224,8 +224,8 @@ impl Scene {
         self.animations.clone()
     }
 
-    /// Time at which the last animation ends, or the duration of the USD stage or of the Blender
-    /// scene, seconds; None without animations.
+    /// Time at which the last animation of a glTF scene ends, or the duration of the USD stage or
+    /// of the Blender scene, seconds. None without animations, or for a stage without a time range.
     #[getter]
     fn duration(&self) -> Option<f64> {
         self.duration

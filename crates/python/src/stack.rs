@@ -102,8 +102,9 @@ impl LayerStack {
         Ok(Self { stack: Arc::new(stack), display, solved: None })
     }
 
-    /// Writes a run's folder: display.toml, and `layers` with stack.json and one .npy array per
-    /// layer. The folder does not contain `history` and `solution`; pickles do.
+    /// Writes a run's folder: display.toml, and `layers` with stack.json, one .npy array per layer
+    /// and, for a directional backlight, emission.npy. The folder does not contain `history` and
+    /// `solution`; pickles do.
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         stored::check_free(py, &folder, Holds::Patterns)?;
         long(py, None, |_| {

@@ -1,4 +1,4 @@
-"""Shared fixtures: a small display, a light field of smooth waves at known depths, and the
+"""Shared fixtures: a small display, a light field of smooth waves at a known depth, and the
 repository's scenes."""
 
 from __future__ import annotations

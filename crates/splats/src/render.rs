@@ -53,7 +53,7 @@ pub struct SplatView {
     /// transmittance T of all splats, 0..1.
     pub light: Tensor<3>,
     /// `[row][col]`: z in display space, in millimetres, of the splat at which the transmittance
-    /// falls below one half. NaN if the transmittance stays above one half.
+    /// falls below one half. NaN if the transmittance never falls below one half.
     pub z_mm: Tensor<2>,
 }
 

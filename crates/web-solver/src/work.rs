@@ -292,7 +292,8 @@ impl Work {
     /// Computes the next piece.
     ///
     /// # Errors
-    /// If the file is damaged, or scene and display do not fit each other. The work then ends.
+    /// If a piece fails, for example because the file is damaged, or because scene and display do
+    /// not fit each other. The work then ends.
     pub fn advance(&mut self) -> Result<(), Error> {
         let Some(piece) = self.pieces.pop_front() else { return Ok(()) };
         let done = self.work_on(piece);

@@ -42,7 +42,8 @@ impl Field {
     /// left; the views follow from left to right, then from the bottom up.
     ///
     /// # Errors
-    /// If a view would have no pixel, or the bytes do not match the size.
+    /// If a view would have no pixel, the bytes do not match the size, or all views together exceed
+    /// 1 GiB.
     pub fn from_quilt(rgba: &[u8], [width, height]: [usize; 2], [cols, rows]: [usize; 2]) -> Result<Self, Error> {
         if cols == 0 || rows == 0 || width / cols == 0 || height / rows == 0 {
             let found = format!("{width} × {height} pixels");

@@ -352,9 +352,10 @@ impl Model {
     }
 
     /// Returns the error map at a slope, compared with the target's view L nearest to the slope.
-    /// The error of a pixel is the largest channel of |gain · L̃ − L|. If the display drops rays
-    /// that miss a layer, a pixel is black if the rays of more than half of its area are dropped.
-    /// With a pupil, a pixel is black if any of its rays is dropped.
+    /// The error of a pixel is the largest channel of |gain · L̃ − L|. A ray is dropped if it
+    /// misses the lenslets, or a layer that the display's [`Missing`](lumistack_display::Missing)
+    /// rule requires. A pixel is black if the rays of more than half of its area are dropped. With
+    /// a pupil, a pixel is black if any of its rays is dropped.
     ///
     /// # Errors
     /// If the view has not arrived.

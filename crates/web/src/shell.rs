@@ -116,8 +116,8 @@ impl Viewer {
         self.model.psnr([sx, sy])
     }
 
-    /// Sets the context for [`Self::draw`]; throws if the context is lost, or its limits are too
-    /// small for the preview.
+    /// Sets the context for [`Self::draw`]; throws if the context is lost, or cannot draw the
+    /// preview.
     pub fn attach(&mut self, context: WebGl2RenderingContext) -> Thrown<()> {
         self.gpu = None;
         self.gpu = Some(Gpu::new(context, &self.model)?);

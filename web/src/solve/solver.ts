@@ -7,7 +7,7 @@ import WORKER from "worker:./worker.ts";
 interface Program {
   module: WebAssembly.Module;
   script: string;
-  /** The reason why no graphics processor solves; undefined if a graphics processor solves. */
+  /** The reason why this is the program without WebGPU; undefined for the program with WebGPU. */
   obstacle: string | undefined;
 }
 
@@ -68,7 +68,10 @@ export class Solver {
   private script = "";
   /** Resolves when the thread has sent its presets. */
   private ready: Promise<void> = Promise.resolve();
-  /** The reason why no graphics processor solves; undefined if a graphics processor solves, or before the start. */
+  /**
+   * The reason why the thread runs the program without WebGPU; undefined with WebGPU, or before the
+   * start.
+   */
   obstacle: string | undefined;
 
   constructor(private readonly receive: (what: SolverMessage) => void) {}

@@ -14,7 +14,7 @@ impl Analysis {
     /// scene is in the background.
     ///
     /// # Errors
-    /// If there are no displays.
+    /// If the plot cannot be drawn.
     pub fn depth_of_field_plot(all: &[Self], axis: usize) -> Result<String, PlotError> {
         let own = all.iter().map(|analysis| analysis.axes[axis].own_cutoff).fold(0.0, f64::max);
         let reach = all.iter().flat_map(|analysis| analysis.axes[axis].bound.last()).map(|p| p[0]).fold(0.0, f64::max);

@@ -41,7 +41,8 @@ impl Picture {
     /// Reads [columns, rows] from the file's header.
     ///
     /// # Errors
-    /// If the file has no readable header.
+    /// If the header is unreadable or unsupported, or declares too many pixels. For OpenEXR also if
+    /// the file is too short for its pixels.
     pub fn size_of(path: &Path) -> Result<[usize; 2], FieldError> {
         if is_exr(path) { openexr::size(path) } else { encoded::size(path) }
     }

@@ -25,8 +25,8 @@ fn times_that_would_be_too_late_are_dropped_and_counted() {
     // After a stall of the caller, time steps 1 to 9 are skipped, and time step 10 is due.
     assert_eq!(player.next(ms(1000)), Due::Time(10));
     assert_eq!(player.dropped, 9);
-    // A caller that needs 250 ms per time step shows each one, except the last, at most 200 ms
-    // after it was due.
+    // A caller that needs 250 ms per time step skips some. It shows the others, except the last, at
+    // most 200 ms after they were due.
     let (mut now, mut shown, mut last) = (1000, 1, 10);
     loop {
         now += 250;

@@ -18,8 +18,10 @@
 //! View u sees the surface point of pixel p at the position p_u. Between two views with the slopes
 //! s and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface
 //! at p_u. It falls to 0 with the distance of u's point from the plane of p's point, and is 0 if
-//! the normals differ too much. Light from dark surfaces is noisy once it is divided by ρ_p; with
-//! the factor ρ_p it contributes little. Nothing is averaged over neighbouring pixels; only [sparse
+//! the normals differ too much. At a distance of 1/√m pixels, where m is the number of rays of a
+//! pixel, w is about a third: a pixel's depth is a mean over m rays, so it is more exact with more
+//! rays. Light from dark surfaces is noisy once it is divided by ρ_p; with the factor ρ_p it
+//! contributes little. Nothing is averaged over neighbouring pixels; only [sparse
 //! paths](crate::Settings::sparse_paths) serve several pixels. But E is read at the pixel nearest
 //! to p_u, which blurs shadows and bumps over a fraction of a pixel. So w also falls with the
 //! distance of p_u from this pixel's centre. D and G stay as rendered where no other view sees the
@@ -75,9 +77,6 @@ use rayon::prelude::*;
 use crate::surface::divisor;
 use crate::{Settings, SplitView, light32};
 
-/// Distance of one point from the plane of another point, in pixels, at which the weight has fallen
-/// to about a third.
-const PLANE_SCALE: f32 = 0.75;
 /// Two surfaces are treated as different if the cosine between their normals is below this.
 const LEAST_COSINE: f32 = 0.8;
 
@@ -138,6 +137,8 @@ pub struct SharedLight<'a> {
     geometry: &'a FieldGeometry,
     /// n of the weight k, the number of paths of a pixel on a smooth surface.
     paths: u32,
+    /// Number of rays of a pixel.
+    rays: u32,
     /// Number of views added.
     added: usize,
     /// Data of every pixel, `[view][row][col]`.
@@ -158,8 +159,8 @@ impl<'a> SharedLight<'a> {
 
     /// Starts without any view, in memory, for views with these settings.
     pub fn new(geometry: &'a FieldGeometry, settings: &Settings) -> Self {
-        let paths = settings.paths_on_surface();
-        Self { geometry, paths, added: 0, points: Array::Held(Vec::new()), light: Array::Held(Vec::new()) }
+        let (paths, [_, rays]) = (settings.paths_on_surface(), settings.rays());
+        Self { geometry, paths, rays, added: 0, points: Array::Held(Vec::new()), light: Array::Held(Vec::new()) }
     }
 
     /// Starts without any view, in two arrays of a storage. While light is averaged, each thread
@@ -170,8 +171,8 @@ impl<'a> SharedLight<'a> {
     pub fn in_storage(geometry: &'a FieldGeometry, settings: &Settings, storage: &Storage) -> io::Result<Self> {
         let rays = geometry.grid.iter().count() * geometry.rows * geometry.cols;
         let (points, light) = (Array::zeros(rays, Some(storage))?, Array::zeros(rays, Some(storage))?);
-        let paths = settings.paths_on_surface();
-        Ok(Self { geometry, paths, added: 0, points, light })
+        let (paths, [_, rays]) = (settings.paths_on_surface(), settings.rays());
+        Ok(Self { geometry, paths, rays, added: 0, points, light })
     }
 
     /// Adds the next view of the grid.
@@ -220,9 +221,8 @@ impl<'a> SharedLight<'a> {
             let near = nearest(index / view_cols, view_rows, view_cols);
             near.map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>()
         };
-        // the factor of |s − s'|² in the weight k, for every roughness
-        let turns = turns(self.paths);
-        pass(self.geometry, &self.points, &turns, of_row, &mut self.light, task)?;
+        let scales = Scales { turns: turns(self.paths), plane_px: 1.0 / (self.rays.max(1) as f32).sqrt() };
+        pass(self.geometry, &self.points, &scales, of_row, &mut self.light, task)?;
         let ((points, of_points), (light, of_light)) = (self.points.all_mut(), self.light.all());
         let cols = self.geometry.cols;
         let take = |(points, light): (&mut [Point], &[Light])| {
@@ -242,7 +242,7 @@ impl<'a> SharedLight<'a> {
         points.par_chunks_mut(cols).zip(light.par_chunks(cols)).for_each(take);
         #[cfg(not(feature = "parallel"))]
         points.chunks_mut(cols).zip(light.chunks(cols)).for_each(take);
-        pass(self.geometry, &self.points, &turns, of_col, &mut self.light, task)?;
+        pass(self.geometry, &self.points, &scales, of_col, &mut self.light, task)?;
         Ok(MeanLight { light: self.light })
     }
 }
@@ -301,10 +301,22 @@ struct Own {
     /// Factor from a difference of z to the distance of a point from this point's plane, relative
     /// to the distance at which the weight is 0.
     slant: f32,
+    /// Factors from the offset of p_u from a pixel's centre, in half pixels along x and y, to a
+    /// distance from this point's plane, in the unit of that distance in `slant`.
+    tilt: [f32; 2],
     normal: [i32; 3],
     /// The factor of |s − s'|² at the pixel's roughness, from [`turns`]. In perspective views, s
     /// and s' are the central slopes.
     turn: f32,
+}
+
+/// Scales of the weights of an average.
+struct Scales {
+    /// The factor of |s − s'|² in the weight k, for every value of [`Point::roughness`].
+    turns: [f32; 256],
+    /// Distance of one point from the plane of another point, in pixels, at which the weight w has
+    /// fallen to about a third.
+    plane_px: f32,
 }
 
 /// Returns n / (4 α²) of the weight k for every value of [`Point::roughness`]. It is infinite for
@@ -330,7 +342,7 @@ fn nearest(own: usize, count: usize, across: usize) -> Range<usize> {
 fn pass(
     geometry: &FieldGeometry,
     points: &Array<Point>,
-    turns: &[f32; 256],
+    scales: &Scales,
     partners: impl Fn(usize) -> Vec<usize> + Sync,
     light: &mut Array<Light>,
     task: Task<'_>,
@@ -340,10 +352,10 @@ fn pass(
         task.cancel.check()?;
         announce(of_light, size_of_val(light));
         match points.all() {
-            (points, None) => of_view(geometry, points, turns, &|_| {}, index, &partners(index), light),
+            (points, None) => of_view(geometry, points, scales, &|_| {}, index, &partners(index), light),
             (points, Some(window)) => {
                 let announce = |points: usize| window.announce(points * size_of::<Point>());
-                of_view(geometry, points, turns, &announce, index, &partners(index), light);
+                of_view(geometry, points, scales, &announce, index, &partners(index), light);
             }
         }
         task.progress.advance(1, "");
@@ -361,7 +373,7 @@ fn pass(
 fn of_view(
     geometry: &FieldGeometry,
     points: &[Point],
-    turns: &[f32; 256],
+    scales: &Scales,
     announce: &impl Fn(usize),
     index: usize,
     partners: &[usize],
@@ -374,7 +386,8 @@ fn of_view(
     let of_view = |view: usize| &points[view * rows * cols..][..rows * cols];
     let own = of_view(index);
     let (rows_f, cols_f) = (rows as f32, cols as f32);
-    let slant = 0.5 / (PLANE_SCALE * pitch as f32 * UNIT);
+    let tilt = 0.25 / (scales.plane_px * UNIT);
+    let slant = 2.0 * tilt / pitch as f32;
     // the smallest product of two normals at which the surfaces are treated as equal
     let least_product = (LEAST_COSINE * UNIT * UNIT).ceil() as i32;
     let mut lit: Vec<Own> = Vec::with_capacity(cols);
@@ -400,8 +413,9 @@ fn of_view(
                 Projection::Perspective { distance_mm } => point.z_mm / (1.0 - point.z_mm / distance_mm as f32),
             };
             let normal = point.normal.map(i32::from);
-            let turn = turns[usize::from(point.roughness)];
-            lit.push(Own { col, z_mm: point.z_mm, depth, slant: slant * normal[2] as f32, normal, turn });
+            let turn = scales.turns[usize::from(point.roughness)];
+            let ([x, y, z], z_mm) = (normal.map(|n| n as f32), point.z_mm);
+            lit.push(Own { col, z_mm, depth, slant: slant * z, tilt: [tilt * x, tilt * y], normal, turn });
         }
         for &other in partners.iter().filter(|other| **other != index) {
             // add the light of every other view that sees the same point
@@ -427,12 +441,13 @@ fn of_view(
                 if point.normal[0] * nx + point.normal[1] * ny + point.normal[2] * nz < least_product {
                     continue;
                 }
-                // Apart from the rounding to whole pixels, both points are on the same ray of the
-                // other view. So they differ only in depth.
-                let off = point.slant * (there.z_mm - point.z_mm);
-                let nearness = (1.0 - off * off).max(0.0);
                 // distance from the centre of the pixel that is read, 1 at the pixel's edges
                 let (aside_x, aside_y) = (2.0 * (x - whole_x as f32) - 1.0, 2.0 * (y - whole_y as f32) - 1.0);
+                // The read point differs from the own point in depth, and by the way to the pixel's
+                // centre. Both change its distance from the own point's plane. Rows go down, y goes
+                // up.
+                let off = point.slant * (there.z_mm - point.z_mm) - point.tilt[0] * aside_x + point.tilt[1] * aside_y;
+                let nearness = (1.0 - off * off).max(0.0);
                 let central = (1.0 - aside_x * aside_x) * (1.0 - aside_y * aside_y);
                 let same = central * (nearness * nearness) * (nearness * nearness);
                 let (sums, shared) = (&mut sums[point.col], &mut shared[point.col]);
@@ -445,7 +460,8 @@ fn of_view(
                 add(0, same);
                 // the curve of k is close to exp(−x), and 0 from x = 4 on
                 if turn_squared * point.turn < 1.0 {
-                    let alike = (1.0 - turn_squared * point.turn.max(turns[usize::from(there.roughness)])).max(0.0);
+                    let alike =
+                        (1.0 - turn_squared * point.turn.max(scales.turns[usize::from(there.roughness)])).max(0.0);
                     add(1, same * (alike * alike) * (alike * alike));
                 }
             }

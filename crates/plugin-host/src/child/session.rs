@@ -40,7 +40,7 @@ const CREATE_NEW_PROCESS_GROUP: u32 = 0x200;
 pub(super) enum Stopped {
     /// The user cancelled. The call did not end in time, so the child was killed.
     Cancelled,
-    /// The child ended or was ended, for this reason.
+    /// The child could not be started, ended, or was ended, for this reason.
     Died(String),
 }
 
@@ -315,7 +315,7 @@ impl Session {
         line.map_or_else(String::new, |line| format!("; the last line that the process printed: {line}"))
     }
 
-    /// Kills the child and its process group.
+    /// Kills the child, and on Unix its process group, unless the child has already ended.
     fn kill(&self) {
         self.state().ended = true;
         let mut child = locked(&self.child);

@@ -71,7 +71,7 @@ impl<'a> Lent<'a> {
     /// Lends the data of an output for `display`.
     ///
     /// # Errors
-    /// If a stack does not match its display, or a geometry is invalid.
+    /// If a stack does not match its display, or the geometry of its target is invalid.
     pub(crate) fn new(display: &'a Display, data: OutputData<'a>) -> Result<Self, PluginError> {
         let refused = |error: String| PluginError::Refused(error);
         let (geometry, description) = match data {

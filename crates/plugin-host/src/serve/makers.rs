@@ -108,8 +108,8 @@ pub struct Made {
 /// Runs a node and returns the layer stack of one time step.
 ///
 /// # Errors
-/// If the plugin is no node or fails, the data do not match the display, or the layer stack is
-/// invalid.
+/// If the plugin is no node or fails, the weights do not match the light field, the start does not
+/// match the display, or the layer stack is invalid.
 pub fn make_stack<S: Services>(
     plugin: &Plugin,
     services: &S,
@@ -361,9 +361,10 @@ unsafe extern "C" fn stack_solution(context: *mut c_void, solution_json: Str, er
         // SAFETY: the plugin passes the sink's context on unchanged, and lends the text.
         let (mut built, text) = unsafe { (Builder::<Stack>::of(context), lent_text(solution_json, "solution")?) };
         let told = serde_json::from_str(text).map_err(|error| PluginError::failed("solution", error))?;
-        if built.made.solution.replace(told).is_some() {
+        if built.made.solution.is_some() {
             return Err(PluginError::Refused("the solution was already given".into()));
         }
+        built.made.solution = Some(told);
         Ok(())
     };
     // SAFETY: `error` is null or a valid sink.

@@ -38,8 +38,8 @@ impl<'a> Output<'a> {
     /// Opens an output. `params` is an object with any of the plugin's parameters.
     ///
     /// # Errors
-    /// [`PluginError::Refused`] for parameters that the plugin's schema refuses; otherwise the
-    /// plugin's error.
+    /// [`PluginError::Refused`] for parameters that the plugin's schema refuses; otherwise as
+    /// [`open_unresolved`](Self::open_unresolved).
     pub fn open<S: Services>(
         plugin: &Plugin,
         services: &'a S,
@@ -54,7 +54,7 @@ impl<'a> Output<'a> {
     /// plugin. A host in another language may do the same.
     ///
     /// # Errors
-    /// The plugin's error.
+    /// If the plugin is no output; otherwise the plugin's error.
     pub fn open_unresolved<S: Services>(
         plugin: &Plugin,
         services: &'a S,
@@ -116,7 +116,7 @@ impl<'a> Output<'a> {
     /// Sends a command to a presenter while [`run`](Self::run) runs, from any thread.
     ///
     /// # Errors
-    /// If the plugin accepts no commands, or refuses this one.
+    /// If the plugin accepts no commands, or if this command is refused or fails.
     pub fn command(&self, command: &Value) -> Result<(), PluginError> {
         let json = command.to_string();
         // SAFETY: the handle is the plugin's own; the text is lent for the call.

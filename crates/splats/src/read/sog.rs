@@ -156,7 +156,7 @@ pub(super) fn read_bundle(bytes: &[u8]) -> Result<Found, ReadError> {
 
 /// Reads `meta.json` and the pictures that it names.
 pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>) -> Result<Found, ReadError> {
-    // The number of splats bounds every allocation that follows, so it is checked first.
+    // The number of splats determines the memory of the cloud, so it is checked first.
     let meta: Meta =
         serde_json::from_slice(meta).map_err(|error| ReadError::new("meta.json", "the description of a SOG", error))?;
     let count = meta.count.or(meta.means.shape.first().copied());

@@ -44,7 +44,8 @@ impl Gpu {
     /// Creates all objects and uploads the frames that are complete.
     ///
     /// # Errors
-    /// If the context is lost, or its limits are too small for the preview.
+    /// If the context is lost, if its limits or its memory are too small for the preview, or if the
+    /// shaders do not compile.
     pub(crate) fn new(gl: Gl, model: &Model) -> Result<Self, Error> {
         // Prepare the context.
         check(&gl)?;

@@ -18,8 +18,9 @@ from dataclasses import dataclass
 
 #: The depths between these two quantiles are fitted, so that a few stray surfaces have no effect.
 ENDS = (0.02, 0.98)
-#: Relative distance outside of the sharp depths at which content still counts as sharp. A fit moves
-#: content exactly to the ends, and Blender stores the fit in single precision.
+#: Relative distance outside of the sharp depths at which content still counts as sharp, if the
+#: sharp depths lie on both sides of the window. A fit moves content exactly to the ends, and
+#: Blender stores the fit in single precision.
 TOLERANCE = 0.01
 #: Smallest factor on parallax. A scene with less parallax looks flat, so a fit rather leaves the
 #: farthest content blurred.
@@ -117,7 +118,7 @@ def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm:
     `compress` the function also returns the scale of parallax that brings in the remaining depths.
 
     If this scale would be below `LEAST_SCALE`, the fit leaves out as little of the farthest content
-    as possible, for instance a far backdrop."""
+    as possible, for instance a far backdrop. If no fit suffices, the scale is `LEAST_SCALE`."""
     ordered = sorted(depth for depth in depths_mm if math.isfinite(depth))
     if not ordered:
         return Fit(0.0, 1.0)

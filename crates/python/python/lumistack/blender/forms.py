@@ -80,7 +80,7 @@ def _field(plugin: str, param: Mapping[str, Any]) -> Field:
 
 def label(name: str, unit: str | None = "") -> str:
     """Returns the label of a name, such as "OpenEXR precision" for "exr_depth". The unit stands in
-    brackets, unless the label contains it."""
+    brackets, unless the label contains it. The units bits and dots/inch are omitted."""
     if name in _NAMES:
         return _NAMES[name]
     words = name.split("_")

@@ -277,7 +277,7 @@ def _contents(bpy: Any) -> Iterator[Any]:
 
 def depth_range(bpy: Any, scene: Any, window: Window) -> tuple[float, float]:
     """Returns the farthest and nearest depth of all content that a render shows, millimetres along the
-    window's normal."""
+    window's normal. The window's own depth, 0, is included."""
     depths = [0.0]
     for instance in _contents(bpy):
         matrix = instance.matrix_world

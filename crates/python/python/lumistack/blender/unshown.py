@@ -76,7 +76,7 @@ def is_volume_alone(held: Any) -> bool:
 
 
 def is_rendered(held: Any) -> bool:
-    """Returns true if an object and its collections are enabled for renders."""
+    """Returns true if an object, and at least one of its collections, is enabled for renders."""
     return not held.hide_render and not (held.users_collection and all(each.hide_render for each in held.users_collection))
 
 

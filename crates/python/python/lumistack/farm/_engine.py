@@ -69,7 +69,7 @@ class Outcome:
     refused: dict[str, str] = field(default_factory=dict)
     """Workers that could not be used, with the reason."""
     lost: int = 0
-    """Number of units that were lost with their worker and executed again."""
+    """Number of attempts that were lost with their worker, or that a worker refused."""
 
 
 Tell = Callable[[dict[str, Any]], None]

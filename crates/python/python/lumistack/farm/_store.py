@@ -6,9 +6,9 @@ the files of units through the store.
     URL/PLAN/start.json              files of the run folder before the first unit, including the plan
     URL/PLAN/sent/N.json             files of a folder that the client sends
 
-Each worker has its own run folder, the mirror. Before a unit, the worker copies the files of all
-units on which this unit depends into its mirror. Then it executes the unit in the mirror, and
-copies the files that the unit has written to the store.
+Each thread of a worker has its own run folder, the mirror. Before a unit, the thread copies the
+files of all units on which this unit depends into its mirror. Then the thread executes the unit in
+the mirror, and copies the files that the unit has written to the store.
 """
 
 from __future__ import annotations
