@@ -49,8 +49,9 @@ export declare class LumistackViewer extends HTMLElement {
     /** The renderer: "webgl2" or "cpu". */
     get path(): Path;
     /**
-     * Returns the RGBA bytes of the current picture, in the light field's size. In the side-by-side
-     * comparison these are the bytes of the display's picture alone, without the target.
+     * Returns the RGBA bytes of the current picture. Views and comparisons have the light field's
+     * size. In the side-by-side comparison these are the bytes of the display's picture alone,
+     * without the target. Before the first picture, the result is one transparent pixel.
      */
     pixels(): Promise<ImageData>;
     /** Returns the current picture as PNG. */
@@ -109,7 +110,7 @@ export declare class LumistackViewer extends HTMLElement {
     private shot;
     /**
      * Returns an object that computes seen pictures for other displays (headset, lenticular panel);
-     * undefined without patterns.
+     * undefined while no frame is complete.
      */
     private views;
     /**
