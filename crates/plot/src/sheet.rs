@@ -17,7 +17,7 @@ pub struct Axes {
     pub y_label: String,
     /// Ends of the horizontal axis; `None` chooses a range that contains all points.
     pub x: Option<[f64; 2]>,
-    /// Ends of the vertical axis; `None` chooses a range that contains all points, and the levels of
+    /// Ends of the vertical axis; `None` chooses a range that contains all points and the levels of
     /// [`curves`].
     pub y: Option<[f64; 2]>,
 }

@@ -19,8 +19,8 @@
 //! s and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface
 //! at p_u. It falls to 0 with the distance of u's point from the plane of p's point, and is 0 if
 //! the normals differ too much. At a distance of 1/√m pixels, where m is the number of rays of a
-//! pixel, w is about a third: a pixel's depth is a mean over m rays, so it is more exact with more
-//! rays. Light from dark surfaces is noisy once it is divided by ρ_p; with the factor ρ_p it
+//! pixel, w is about a third. A pixel's depth is the mean over its rays, so more rays make it more
+//! exact. Light from dark surfaces is noisy once it is divided by ρ_p; with the factor ρ_p it
 //! contributes little. Nothing is averaged over neighbouring pixels; only [sparse
 //! paths](crate::Settings::sparse_paths) serve several pixels. But E is read at the pixel nearest
 //! to p_u, which blurs shadows and bumps over a fraction of a pixel. So w also falls with the
@@ -301,8 +301,8 @@ struct Own {
     /// Factor from a difference of z to the distance of a point from this point's plane, relative
     /// to the distance at which the weight is 0.
     slant: f32,
-    /// Factors from the offset of p_u from a pixel's centre, in half pixels along x and y, to a
-    /// distance from this point's plane, in the unit of that distance in `slant`.
+    /// Factors from the offset of p_u from a pixel's centre to a distance from this point's plane.
+    /// The offset is in half pixels along x and y; the distance has the unit of `slant`'s result.
     tilt: [f32; 2],
     normal: [i32; 3],
     /// The factor of |s − s'|² at the pixel's roughness, from [`turns`]. In perspective views, s
