@@ -27,8 +27,8 @@ from lumistack.blender.work import Work
 
 from . import cost, digest, pictures, settings as settings_of
 
-#: Iterations of every time step after the first. Few suffice, since each time step starts with the
-#: previous patterns.
+#: Largest number of iterations of a time step after the first. Few suffice, since each time step
+#: starts with the previous patterns.
 NEXT_ITERATIONS = 5
 #: Names of each renderer's views, for messages.
 NAMES = {"BLENDER": "Blender's views", "GLTF": "Lumistack's views of the glTF file", "USD": "Lumistack's views of the USD file"}
@@ -222,8 +222,9 @@ class Job:
         return Patterns(stack, key)
 
     def _probe(self, folder: Path):
-        """Measures the time. Renders at most two views by Blender, or all views and the pictures for the
-        score by Lumistack's path tracer, with a quarter of the columns and rows."""
+        """Measures the time. Renders at most two views by Blender. Or renders all views and, with
+        `use_score`, the pictures for the score by Lumistack's path tracer, with a quarter of the
+        columns and rows."""
         settings = self.scene.lumistack
         display = display_of(settings)
         window = window_of(self.scene, display)

@@ -82,16 +82,26 @@ function quiltOf(file: File): Dropped {
  * Arranges views by their names in a grid: rows from the top, columns from the left. If the names
  * do not state a complete grid, the views have the order of their names. Then they form a square,
  * if every name ends in a number and the number of views is a square. Otherwise they form one row.
+ * If two names state the same view, it throws a Problem that names both files.
  */
 export function gridOf(pictures: readonly (readonly [string, File])[]): File[][] {
-  const named = pictures.map(([path, file]) => ({ file, name: path.replace(/^.*\//, "") })).sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
+  const named = pictures.map(([path, file]) => ({ path, file, name: path.replace(/^.*\//, "") })).sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   for (const pattern of ROW_COL) {
     const found = named.map(({ name }) => pattern.exec(name));
     if (!found.every((match) => match)) continue;
     const places = found.map((match) => [Number(match![1]), Number(match![2])] as const);
+    // Names with the same text before the same row and column state the same view.
+    const first = new Map<string, string>();
+    places.forEach(([row, col], i) => {
+      const { name, path } = named[i]!;
+      const view = `${name.slice(0, found[i]!.index)} ${row} ${col}`;
+      const other = first.get(view);
+      if (other !== undefined) throw new Problem(`${other} and ${path} are both named as the view in row ${row}, column ${col}; expected one picture per view.`, "Remove one of the two files, and try again.", false);
+      first.set(view, path);
+    });
     const rows = [...new Set(places.map(([row]) => row))].sort((a, b) => a - b);
     const cols = [...new Set(places.map(([, col]) => col))].sort((a, b) => a - b);
-    if (rows.length * cols.length !== named.length) continue;
+    if (rows.length * cols.length !== named.length || new Set(places.map(String)).size !== named.length) continue;
     const grid: File[][] = rows.map(() => []);
     places.forEach(([row, col], i) => (grid[rows.indexOf(row)]![cols.indexOf(col)] = named[i]!.file));
     return grid;

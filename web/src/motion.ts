@@ -135,6 +135,7 @@ export class Motion {
       if (this.turnS >= this.turnLengthS) {
         this.turnS = undefined;
         this.goal = this.home;
+        if (this.calm) this.settle();
       }
     } else {
       this.idle(dtS);

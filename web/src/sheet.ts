@@ -8,11 +8,14 @@ const THUMB_PX = 46;
 export type DrawMask = (layer: number, frame: number) => Promise<ImageBitmap>;
 
 export class Sheet {
-  private readonly drawn = new Set<string>();
+  /** The masks whose thumbnails show the current patterns. */
+  private drawn = new Set<string>();
   private cells = new Map<string, HTMLButtonElement>();
   private mask: DrawMask | undefined;
   private info: Info | undefined;
   private busy = false;
+  /** The frames of the newest call of `show` whose thumbnails are not yet drawn. */
+  private next: readonly number[] | undefined;
 
   constructor(
     private readonly box: HTMLElement,
@@ -25,9 +28,10 @@ export class Sheet {
 
   /** Makes an empty cell for every mask of a stack. */
   setUp(mask: DrawMask, info: Info): void {
+    this.clear();
     this.mask = mask;
     this.info = info;
-    this.drawn.clear();
+    this.forget();
     this.cells = new Map();
     this.box.style.gridTemplateColumns = "auto 1fr";
     const names = rowNames(info);
@@ -49,12 +53,14 @@ export class Sheet {
 
   clear(): void {
     this.mask = undefined;
+    this.next = undefined;
+    this.busy = false;
     this.box.replaceChildren();
   }
 
   /** Called after the patterns have changed. The next call of `show` draws all thumbnails again. */
   forget(): void {
-    this.drawn.clear();
+    this.drawn = new Set();
   }
 
   /** Marks the selected mask, and draws the thumbnails of the frames in `ready`. */
@@ -66,7 +72,8 @@ export class Sheet {
       cell.disabled = !ready.includes(Number(key.split("/")[1]));
     }
     this.cells.get(`${layer}/${frame}`)?.scrollIntoView({ block: "nearest", inline: "nearest" });
-    if (!this.busy) void this.drawThumbs(ready);
+    this.next = ready;
+    if (!this.busy) void this.drawThumbs();
   }
 
   private cell(layer: number, frame: number, name: string): HTMLButtonElement {
@@ -84,22 +91,30 @@ export class Sheet {
     return button;
   }
 
-  private async drawThumbs(ready: readonly number[]): Promise<void> {
+  /** Draws the missing thumbnails, and repeats this if `show` is called meanwhile. */
+  private async drawThumbs(): Promise<void> {
     this.busy = true;
     const { mask } = this;
-    for (const [key, cell] of this.cells) {
-      const [layer, frame] = key.split("/").map(Number) as [number, number];
-      if (!ready.includes(frame) || this.drawn.has(key)) continue;
-      const picture = await mask?.(layer, frame).catch(() => undefined);
-      if (!picture || mask !== this.mask) break;
-      const thumb = cell.firstElementChild as HTMLCanvasElement;
-      thumb.height = THUMB_PX * 2;
-      thumb.width = Math.max(Math.round((thumb.height * picture.width) / picture.height), 1);
-      const context = thumb.getContext("2d")!;
-      context.imageSmoothingQuality = "high";
-      context.drawImage(picture, 0, 0, thumb.width, thumb.height);
-      picture.close();
-      this.drawn.add(key);
+    for (let ready = this.next; ready; ready = this.next) {
+      this.next = undefined;
+      for (const [key, cell] of this.cells) {
+        const [layer, frame] = key.split("/").map(Number) as [number, number];
+        const { drawn } = this;
+        if (!ready.includes(frame) || drawn.has(key)) continue;
+        const picture = await mask?.(layer, frame).catch(() => undefined);
+        // A new stack has a loop of its own, so this loop ends.
+        if (mask !== this.mask) return;
+        if (!picture) break;
+        const thumb = cell.firstElementChild as HTMLCanvasElement;
+        thumb.height = THUMB_PX * 2;
+        thumb.width = Math.max(Math.round((thumb.height * picture.width) / picture.height), 1);
+        const context = thumb.getContext("2d")!;
+        context.imageSmoothingQuality = "high";
+        context.drawImage(picture, 0, 0, thumb.width, thumb.height);
+        picture.close();
+        // `forget` replaces the set, so a thumbnail of earlier patterns is drawn again.
+        drawn.add(key);
+      }
     }
     this.busy = false;
   }

@@ -161,6 +161,8 @@ test("invalid values in the address: the default mode is used, without an error"
   const { page, error } = await shown(good, {}, "#mode=sideways&x=NaN&gap=1e99&split=-3&frame=77&layer=9&gain=-1&rate=0");
   assert.equal(error, undefined);
   assert.equal(await page.evaluate(() => document.querySelector("lumistack-viewer").mode), "perceived");
+  for (const part of ["#notice", "#card"]) assert.equal(await text(page, part), undefined, part);
+  assert.ok(await isPicture(page));
   assert.deepEqual(page.trouble, []);
   await page.context().close();
 });

@@ -10,7 +10,7 @@ import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 import { DIST, launch, open } from "./browser.mjs";
-import { pngOf } from "./fixture.mjs";
+import { pngOf, twoSquares } from "./fixture.mjs";
 import { glb } from "./glb.mjs";
 import { serve } from "./server.mjs";
 import { apart, BIN, plain, problem, refusal, save, stage } from "./solving.mjs";
@@ -186,6 +186,33 @@ test("hostile files give the command's message, and the page stays usable", { sk
   await at.click("text=Dandelion");
   await stage(at, "done");
   assert.ok(await at.isHidden("#problem"));
+  await at.context().close();
+});
+
+test("patterns can be saved only while the page shows them", async () => {
+  const at = await open(browser, `${server.url}/solve.html#scene=letters&preset=paper-three-layer&cols=48&frames=2&zone_samples=20&iterations=1&threads=1&device=cpu`);
+  const canSave = () => at.isEnabled("#save");
+  await stage(at, "done");
+  assert.ok(await canSave());
+  // After an error the thread has no patterns.
+  const bad = join(folder, "bad.glb");
+  writeFileSync(bad, "no model");
+  await drop(at, bad);
+  await problem(at);
+  assert.ok(!(await canSave()), "after an error");
+  await at.click("text=Dandelion");
+  await at.waitForFunction(() => document.querySelector("#status").textContent.startsWith("Finished.") && !document.querySelector("#save").disabled);
+  // A preview has no patterns of the thread.
+  await at.setInputFiles("#files", [...twoSquares()].map(([path, buffer]) => ({ name: path.replace("stack/", ""), mimeType: path.endsWith(".json") ? "application/json" : "image/png", buffer })));
+  await at.waitForFunction(() => document.querySelector("#status").textContent.includes("is a preview"));
+  assert.ok(!(await canSave()), "in a preview");
+  await at.click("text=Dandelion");
+  await at.waitForFunction(() => document.querySelector("#status").textContent.startsWith("Finished.") && !document.querySelector("#save").disabled);
+  // The thread never finishes reading the next file.
+  for (const thread of at.workers()) await thread.evaluate(() => void (Blob.prototype.arrayBuffer = () => new Promise(() => undefined)));
+  await drop(at, bad);
+  await at.waitForFunction(() => document.querySelector("#status").textContent.startsWith("Reading the files"));
+  assert.ok(!(await canSave()), "while a file is read");
   await at.context().close();
 });
 

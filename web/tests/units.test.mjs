@@ -38,6 +38,11 @@ test("names of views determine their order", async () => {
   assert.deepEqual(grid(["frame10.jpg", "frame9.jpg", "frame11.jpg"]), ["frame9.jpg frame10.jpg frame11.jpg"]);
   // The names state an incomplete grid, so the views form one row.
   assert.deepEqual(grid(["view_0_0.png", "view_0_1.png", "view_1_0.png"]), ["view_0_0.png view_0_1.png view_1_0.png"]);
+  // The third and the fourth name state the same view.
+  const message = "some/folder/view_1_0.jpg and some/folder/view_01_00.png are both named as the view in row 1, column 0; expected one picture per view.";
+  assert.throws(() => grid(["view_0_0.png", "view_0_1.png", "view_1_0.jpg", "view_01_00.png"]), { message });
+  // The text before these numbers differs, so the pictures are different views.
+  assert.deepEqual(grid(["a_1_0.png", "b_1_0.png"]), ["a_1_0.png b_1_0.png"]);
 });
 
 test("the eye reaches its goal with little overshoot, comes to rest, and stays within its limit", async () => {
@@ -105,6 +110,57 @@ test("if the user prefers less motion, the view jumps to its goal", async () => 
   motion.setZone([0.2, 0.1]);
   motion.lookTo([0.1, 0.05]);
   assert.deepEqual(motion.slope, [0.1, 0.05]);
+  // After a recorded turn, the view also jumps.
+  motion.startTurn(2);
+  motion.step(2);
+  assert.deepEqual(motion.slope, [0.1, 0.05]);
+  assert.equal(motion.active, false);
+});
+
+test("the contact sheet draws the thumbnails of the last call, and changed patterns again", async (t) => {
+  const { Sheet } = await source("sheet.ts");
+  const drawn = [];
+  // Elements with the members that the sheet uses.
+  const element = () => {
+    const made = { style: {}, setAttribute() {}, addEventListener() {}, replaceChildren() {}, scrollIntoView() {} };
+    made.append = (child) => (made.firstElementChild ??= child);
+    made.getContext = () => ({ drawImage: (picture) => drawn.push(picture.name) });
+    return made;
+  };
+  globalThis.document = { createElement: element };
+  t.after(() => delete globalThis.document);
+  const waiting = [];
+  let patterns = "old";
+  const mask = (layer, frame) => new Promise((resolve) => waiting.push(() => resolve({ name: `${patterns} ${frame}`, width: 1, height: 1, close() {} })));
+  const answer = async () => {
+    waiting.shift()?.();
+    await new Promise((resolve) => setImmediate(resolve));
+  };
+  const info = { layers: [{ d_mm: 0, cols: 2, rows: 2 }], frames: 2, directional: false };
+  const sheet = new Sheet(element(), () => undefined);
+  sheet.setUp(mask, info);
+  sheet.show(0, 0, [0]);
+  sheet.show(0, 0, [0, 1]);
+  for (let n = 0; n < 3; n++) await answer();
+  assert.deepEqual(drawn.splice(0), ["old 0", "old 1"]);
+  // Patterns change while the sheet waits for an old thumbnail.
+  sheet.forget();
+  sheet.show(0, 0, [0, 1]);
+  await answer();
+  sheet.forget();
+  patterns = "new";
+  sheet.show(0, 0, [0, 1]);
+  for (let n = 0; n < 5; n++) await answer();
+  assert.deepEqual(drawn.splice(0).slice(-2).sort(), ["new 0", "new 1"]);
+  // A stack that is removed while the sheet waits for its thumbnail never answers.
+  sheet.forget();
+  sheet.show(0, 0, [0]);
+  waiting.length = 0;
+  sheet.clear();
+  sheet.setUp(mask, info);
+  sheet.show(0, 0, [0]);
+  await answer();
+  assert.deepEqual(drawn, ["new 0"]);
 });
 
 test("each view of a quilt is at the centre of its part of the zone", async () => {

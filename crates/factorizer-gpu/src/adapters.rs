@@ -76,8 +76,12 @@ pub(crate) fn choose(name: Option<&str>) -> Result<(Adapter, wgpu::Adapter), Str
     };
     let Some(at) = all.iter().position(|(adapter, _)| fits(adapter)) else {
         let names: Vec<_> = all.iter().map(|(a, _)| format!("{} ({}, {})", a.name, a.kind, a.backend)).collect();
-        let found =
-            if names.is_empty() { "no device with Vulkan, Metal or Direct3D 12".into() } else { names.join("; ") };
+        // In a web page the browser, not a driver, offers adapters.
+        let none = match cfg!(target_arch = "wasm32") {
+            true => "no device that this browser offers by WebGPU",
+            false => "no device with Vulkan, Metal or Direct3D 12",
+        };
+        let found = if names.is_empty() { none.into() } else { names.join("; ") };
         let expected = name
             .map_or("a graphics processor".into(), |name| format!("a graphics processor whose name contains `{name}`"));
         return Err(format!("expected {expected}, found {found}"));

@@ -209,6 +209,10 @@ impl Engine {
         let mut sums = vec![0.0; self.plan.target.channels * layout.stored_lines() * line_sums];
         let mut effective = self.factors[n].values.clone();
         let outcome = self.update_lines(n, rule, None, local, &mut effective, Some(&mut sums));
+        // after a cancellation, sums are missing, so no stored pixel may step
+        if self.cancel.is_cancelled() {
+            return outcome;
+        }
         let Some((response, stored)) = &mut self.stored[n] else { return outcome };
         // apply the adjoint, which gives the sums of the stored pixels, then step the stored pixels
         let adjoint = AdjointSums::of(response, &layout, rule.sums(), &sums);

@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use crate::file::{File, limit_seconds};
+use crate::file::File;
 use crate::graph::Graph;
 
 /// The job type: a script by which the manager compiles a job into tasks. There is a task per unit,
@@ -19,7 +19,6 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
                 "inputs": unit.inputs,
                 "command": graph.command(&unit.id),
                 "kind": unit.kind.name(),
-                "limit": limit_seconds(unit.seconds),
             })
         })
         .collect();
@@ -42,6 +41,16 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
 mod tests {
     use super::*;
     use crate::graph::tests::sample;
+
+    /// The command `exec` of Flamenco has no time limit, so a job states none.
+    #[test]
+    fn the_job_type_reads_every_value_of_a_unit() {
+        let job: serde_json::Value = serde_json::from_str(&export(&sample())[1].text).unwrap();
+        let units: serde_json::Value = serde_json::from_str(job["settings"]["units"].as_str().unwrap()).unwrap();
+        for key in units[0].as_object().unwrap().keys() {
+            assert!(JOB_TYPE.contains(&format!("unit.{key}")), "{key}");
+        }
+    }
 
     #[test]
     fn a_job_carries_its_units() {

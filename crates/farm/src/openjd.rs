@@ -25,31 +25,63 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
             steps.push(step(graph, group, &name, &ids, &needed));
         }
     }
-    // Separate two braces, since they would begin an expression of Open Job Description.
-    let name: String = graph.name.replace("{{", "{ {").chars().filter(|c| !c.is_control()).take(128).collect();
+    let name: String = graph.name.chars().filter(|c| !c.is_control()).collect();
+    let name: String = separated(&name).chars().take(128).collect();
+    let mut parameters = vec![
+        json!({
+            "name": "Program",
+            "type": "STRING",
+            "default": graph.command.first().map_or("lumistack", String::as_str),
+            "description": "The program on the workers",
+        }),
+        json!({
+            "name": "Folder",
+            // The type is not PATH, since a parameter of that type may not have an absolute
+            // default.
+            "type": "STRING",
+            "default": graph.folder,
+            "description": "The run folder, which all workers share",
+        }),
+    ];
+    parameters.extend(arguments(graph).1);
     let template = json!({
         "specificationVersion": "jobtemplate-2023-09",
         "name": if name.is_empty() { "lumistack" } else { &name },
-        "parameterDefinitions": [
-            {
-                "name": "Program",
-                "type": "STRING",
-                "default": graph.command.first().map_or("lumistack", String::as_str),
-                "description": "The program on the workers",
-            },
-            {
-                "name": "Folder",
-                // The type is not PATH, since a parameter of that type may not have an absolute
-                // default.
-                "type": "STRING",
-                "default": graph.folder,
-                "description": "The run folder, which all workers share",
-            },
-        ],
+        "parameterDefinitions": parameters,
         "steps": steps,
     });
     let text = serde_json::to_string_pretty(&template).expect("templates serialize");
     vec![File::new("template.json", text + "\n")]
+}
+
+/// Separates equal braces in a row, since two of them begin or end an expression of Open Job
+/// Description.
+fn separated(text: &str) -> String {
+    let mut result = String::new();
+    for c in text.chars() {
+        if matches!(c, '{' | '}') && result.ends_with(c) {
+            result.push(' ');
+        }
+        result.push(c);
+    }
+    result
+}
+
+/// Returns the words of the command after the program, and definitions of the parameters that they
+/// name. A word with two equal braces in a row becomes the value of a parameter, since Open Job
+/// Description reads no expressions in this value.
+fn arguments(graph: &Graph) -> (Vec<String>, Vec<Value>) {
+    let (mut words, mut parameters) = (Vec::new(), Vec::new());
+    for (number, word) in graph.command.iter().enumerate().skip(1) {
+        if separated(word) == *word {
+            words.push(word.clone());
+        } else {
+            let name = format!("Word{number}");
+            words.push(format!("{{{{Param.{name}}}}}"));
+            parameters.push(json!({ "name": name, "type": "STRING", "default": word }));
+        }
+    }
+    (words, parameters)
 }
 
 /// Converts a group to steps; each step has a name and the ids of its units. A group with more than
@@ -70,7 +102,7 @@ fn parts<'a>(group: &Group<'a>, number: usize) -> Vec<(String, Vec<&'a str>)> {
 }
 
 fn step(graph: &Graph, group: &Group<'_>, name: &str, ids: &[&str], needed: &[Value]) -> Value {
-    let first = graph.command.iter().skip(1).cloned();
+    let (first, _) = arguments(graph);
     let rest = ["{{Param.Folder}}", "{{Task.Param.Unit}}"].map(String::from);
     let mut step = json!({
         "name": name,
@@ -84,7 +116,7 @@ fn step(graph: &Graph, group: &Group<'_>, name: &str, ids: &[&str], needed: &[Va
             "actions": {
                 "onRun": {
                     "command": "{{Param.Program}}",
-                    "args": first.chain(rest).collect::<Vec<_>>(),
+                    "args": first.into_iter().chain(rest).collect::<Vec<_>>(),
                     "timeout": limit_seconds(group.seconds()),
                     "cancelation": { "mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": 30 },
                 },
@@ -114,6 +146,22 @@ mod tests {
             json!([{"dependsOn": "t0001/factorize"}, {"dependsOn": "t0002/expose"}])
         );
         assert!(step("place").get("dependencies").is_none());
+    }
+
+    #[test]
+    fn braces_of_names_and_paths_are_no_expressions() {
+        let mut graph = sample();
+        graph.name = "a {{{b}}}{\u{1}{".into();
+        graph.command.extend(["--map", "/{{a}}=/b"].map(String::from));
+        let template: Value = serde_json::from_str(&export(&graph)[0].text).unwrap();
+        assert_eq!(template["name"], "a { { {b} } }{ {");
+        let run = &template["steps"][0]["script"]["actions"]["onRun"];
+        assert_eq!(
+            run["args"],
+            json!(["farm", "unit", "--map", "{{Param.Word4}}", "{{Param.Folder}}", "{{Task.Param.Unit}}"])
+        );
+        let parameter = &template["parameterDefinitions"][2];
+        assert_eq!((&parameter["name"], &parameter["default"]), (&json!("Word4"), &json!("/{{a}}=/b")));
     }
 
     #[test]

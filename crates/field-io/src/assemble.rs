@@ -7,6 +7,7 @@
 //! is read at column c − k·x and row r + k·y. The result is the rectangle of pixels that exist in
 //! all kept views, possibly cropped to the aspect of [`GeometryFlags::resolution`].
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use lumistack_core::{Task, Tensor};
@@ -376,6 +377,8 @@ fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError>
 /// Number of values below [`OVERSHOOT`], and the lowest value, for a single warning.
 #[derive(Default)]
 struct Range {
+    /// The counted views, since a prefilter reads views more than once.
+    views: BTreeSet<[usize; 2]>,
     negative: usize,
     lowest: f32,
 }
@@ -402,6 +405,7 @@ fn check_values(
     values: &mut [f32],
     range: &mut Range,
 ) -> Result<(), FieldError> {
+    let is_new = range.views.insert([view_y, view_x]);
     for (index, value) in values.iter_mut().enumerate() {
         if (0.0..=1.0).contains(value) {
             continue;
@@ -415,7 +419,7 @@ fn check_values(
             return Err(FieldError::malformed(file, place, expected, value.to_string()));
         }
         if *value < 0.0 {
-            range.negative += usize::from(*value < OVERSHOOT);
+            range.negative += usize::from(is_new && *value < OVERSHOOT);
             range.lowest = range.lowest.min(*value);
             *value = 0.0;
         }

@@ -50,6 +50,15 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
         })?;
         files.push(file);
     }
+    // Report the pictures of further cameras, since they are not read.
+    if let Some(file) = numbered.values().next() {
+        let (count, [rows, cols]) = (numbered.len(), views);
+        let message = format!(
+            "pictures: expected {cols} × {rows} cameras, as in {PARAMETERS}, found more; further pictures are not read (number: {count}; first: {})",
+            file.file_name().unwrap_or_default().to_string_lossy()
+        );
+        task.warn(place(folder), message);
+    }
     let reader = PictureGrid::new(files, views)?;
     let focal_px = match (parameters.length("focal_length_mm")?, parameters.length("sensor_size_mm")?) {
         (Some(focal_mm), Some(sensor_mm)) => {

@@ -68,9 +68,7 @@ pub fn geometry_of(
 /// Returns an upper bound of the memory, in bytes, that a light field's decoded picture takes while
 /// the views are read. The result is 0 unless the path is a picture, which then contains all views.
 pub fn picture_bytes(path: &Path) -> u64 {
-    // a decoded picture takes at most 16 bytes per pixel (four floats), and decoding takes 8 more
-    const BYTES: u64 = 24;
     let is_picture = path.is_file() && has_picture_extension(path);
-    let size = is_picture.then(|| Picture::size_of(path).ok()).flatten();
-    size.map_or(0, |[cols, rows]| BYTES * (cols * rows) as u64)
+    let bytes = is_picture.then(|| Picture::bytes_of(path).ok()).flatten();
+    bytes.unwrap_or(0)
 }

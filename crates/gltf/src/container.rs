@@ -62,7 +62,11 @@ fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), Fault> {
         return Err(Fault::new("byte 4", "GLB version 2", version));
     }
     let length = word(bytes, 8)? as usize;
-    let Some(file) = bytes.get(..length).filter(|file| file.len() >= HEADER_BYTES) else {
+    if length < HEADER_BYTES {
+        let expected = format!("a length of at least {HEADER_BYTES} bytes, the size of the header");
+        return Err(Fault::new("byte 8", expected, length));
+    }
+    let Some(file) = bytes.get(..length) else {
         return Err(Fault::new("byte 8", format!("a file of {length} bytes"), bytes.len()));
     };
     let (json, next) = chunk(file, HEADER_BYTES, b"JSON", "a JSON chunk")?;

@@ -73,6 +73,11 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
         let component = component.clone().map_err(|name| Fault::new(&place, "a component type of glTF", name))?;
         document.spend(&place, vertices, dimensions * component.size())?;
         let bytes = elements.clone().map_err(|vertex| broken(format!("no value of {name} for vertex {vertex}")))?;
+        let size = vertices * dimensions * component.size();
+        if bytes.len() != size {
+            // the decoder expands no attribute over its limit
+            return Err(Fault::new(place, format!("attributes of at most {max_bytes} bytes together"), "more"));
+        }
         attributes.insert(name.clone(), Attribute { component, dimensions: *dimensions, bytes });
     }
     Ok(Some(Decoded { triangles, vertices, attributes }))

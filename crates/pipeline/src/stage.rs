@@ -148,9 +148,9 @@ pub(crate) const FACTORIZE: StageInfo = StageInfo {
 pub(crate) const NODE: StageInfo = StageInfo {
     name: "node",
     label: Some("node"),
-    reads: |job| json!(display(job)),
+    reads: |job| json!([job.seed, job.factorize.eyes, job.factorize.eye_floor, display(job)]),
     writes: &["layers", "display.toml"],
-    code: code::PLUGINS,
+    code: code::PATTERNS,
 };
 
 /// Writes patterns or a light field through an output plugin.
@@ -189,6 +189,11 @@ pub(crate) const REPORT: StageInfo = StageInfo {
     code: code::REPORTS,
 };
 
+/// Files and folders that the table of a sweep writes instead of a report.
+pub(crate) const SWEEP_FILES: &[&str] = &["job.toml", "sweep.csv", "sweep.json", "plots"];
+/// Files and folders that the table of a search writes.
+pub(crate) const SEARCH_FILES: &[&str] = &["job.toml", "sweep.csv", "sweep.json", "plots", "proposed.toml"];
+
 /// Returns the display of a job as TOML, without panels: a preset or a file, with the values that
 /// the job changes. `None` if the display cannot be loaded.
 fn display(job: &Job) -> Option<String> {
@@ -226,6 +231,8 @@ mod tests {
         assert_eq!(changed(|job| job.render.zone_samples = ZoneSamples::Count(7)), ["trace"]);
         assert_eq!(changed(|job| job.light.exposure_ev += 1.0), ["expose", "read"]);
         assert_eq!(changed(|job| job.factorize.iterations = Some(7)), ["factorize", "design"]);
+        assert_eq!(changed(|job| job.factorize.eye_floor += 0.1), ["factorize", "node", "design"]);
+        assert_eq!(changed(|job| job.seed += 1), ["trace", "score", "factorize", "node", "design"]);
         assert_eq!(changed(|job| job.pose.time_s = Some(1.0)), ["ingest"]);
         assert_eq!(changed(|job| job.render.denoise = Denoise::Guided), ["trace", "denoise"]);
         assert_eq!(

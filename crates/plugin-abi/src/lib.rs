@@ -1,8 +1,8 @@
 //! The C interface between the host and its plugins: `repr(C)` types only, no dependencies.
 //!
-//! Compiled-in plugins and loaded plugins share this interface. A plugin has one [`Descriptor`].
-//! The host finds the descriptor through a function named [`ENTRY_PREFIX`] + id; a library exports
-//! one such function for each of its plugins.
+//! Compiled-in plugins and loaded plugins share this interface. A plugin has one [`Descriptor`]. A
+//! library exports a function named [`ENTRY_PREFIX`] + id for each of its plugins, and the host
+//! receives the descriptor from this function.
 //!
 //! ```text
 //! host                                   plugin

@@ -1,7 +1,7 @@
 //! Plugins that make data: importers (scenes), sources (light fields) and nodes (layer stacks).
 //!
 //! Each plugin is one function that passes its result to a sink, piece by piece. The host checks
-//! every piece.
+//! every piece. Two threads must never call functions of one sink at the same time.
 
 use core::ffi::c_void;
 

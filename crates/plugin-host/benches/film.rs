@@ -4,7 +4,7 @@
 //! the plugin `transparencies`. The memory of each process is limited to less than a gigabyte,
 //! cached pages of files included, if the system permits the limit.
 //!
-//! `cargo bench -p lumistack-plugin-host --bench film -- [COLUMNS ROWS] [FOLDER]`
+//! `cargo bench -p lumistack-plugin-host --bench film -- [COLUMNS ROWS [FOLDER]]`
 
 use std::error::Error;
 use std::path::{Path, PathBuf};

@@ -85,7 +85,10 @@ impl OutputPlugin for Faulty {
             self.host.write(&"n".repeat(1 << 20), b"x")?;
         }
         if !self.params.path.is_empty() {
-            self.host.write(&self.params.path, b"x")?;
+            let written = self.host.write(&self.params.path, b"x");
+            if self.params.fault != "ignore errors" {
+                written?;
+            }
         }
         Ok(())
     }

@@ -12,8 +12,8 @@ use crate::{HostError, Registry};
 /// Warnings are dropped, since [`run_output`](crate::run_output) reports them again.
 ///
 /// # Errors
-/// If no output has this id, or the output is a presenter or refuses the parameters or the display.
-/// [`HostError::Cancelled`] if the user cancelled.
+/// If no usable output has this id, or the output is a presenter, refuses the parameters or the
+/// display, or fails. [`HostError::Cancelled`] if the user cancelled.
 pub fn check_output(
     registry: &Registry,
     id: &str,

@@ -69,7 +69,8 @@ impl PluginPaths {
     }
 }
 
-/// Returns the system's folder for user data of programs; `None` if the environment names none.
+/// Returns the system's folder for user data of programs. Returns `None` if the environment does
+/// not name this folder by an absolute path.
 fn user_data() -> Option<PathBuf> {
     let folder = |name: &str| var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     if cfg!(windows) {
@@ -132,8 +133,8 @@ impl Registry {
     }
 }
 
-/// Returns `place` if it is a file. If it is a folder, returns its plugin libraries, sorted by
-/// name.
+/// Returns `place` if it is no folder. If it is a folder, returns the paths in it that are named
+/// like plugin libraries, sorted.
 fn libraries(place: &Path) -> std::io::Result<Vec<PathBuf>> {
     if !fs::metadata(place)?.is_dir() {
         return Ok(vec![place.into()]);
@@ -197,8 +198,8 @@ fn loader_message(error: &libloading::Error) -> String {
 }
 
 /// Returns the ids of the plugins that a file exports. Fails if the file is no shared library for
-/// this machine. For some files of other kinds, system loaders report "no such file". Therefore
-/// this function checks the kind itself.
+/// this machine, or exports no plugin. For some files of other kinds, system loaders report "no
+/// such file". Therefore this function checks the kind itself.
 fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     let read = |source| LoadError::Read { path: path.into(), source };
     let other = |found: String| LoadError::NotALibrary { path: path.into(), found };

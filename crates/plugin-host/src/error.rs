@@ -105,7 +105,8 @@ pub enum HostError {
     },
 }
 
-/// A library, a search path or a limit that cannot be used. The program continues without it.
+/// A library, a search path or a limit that cannot be used. The program continues without the
+/// library or path, or with the default limits.
 #[derive(Debug, Error)]
 pub enum LoadError {
     /// There is no such file or folder, or it cannot be read.
@@ -125,7 +126,7 @@ pub enum LoadError {
         expected: String,
     },
     /// The file does not have the name of a plugin library.
-    #[error("{}: expected a file named like `{expected}`, found another name", path.display())]
+    #[error("{}: expected a file named like `{expected}`, with NAME of lower-case letters, digits and underscores, beginning with a letter, found another name", path.display())]
     Name {
         /// The path of the file.
         path: PathBuf,
@@ -166,7 +167,7 @@ pub enum LoadError {
         /// The name of the missing function.
         symbol: String,
     },
-    /// The descriptor is of another version, or invalid.
+    /// The descriptor is missing, of another major version, or invalid.
     #[error("{}: {reason}", path.display())]
     Descriptor {
         /// The path of the file.
@@ -184,12 +185,12 @@ pub enum LoadError {
         /// The id in the descriptor.
         found: String,
     },
-    /// The process that loads the library ended, or was ended.
+    /// The process that loads the library could not be started, ended, or was ended.
     #[error("{}: {cause}", path.display())]
     Ended {
         /// The path of the file.
         path: PathBuf,
-        /// The cause, and the operation that ran.
+        /// The cause. If the process was started, also the operation that ran.
         cause: String,
     },
     /// Neither the program nor the search paths set a launcher of plugin processes.

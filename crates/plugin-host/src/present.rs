@@ -53,8 +53,8 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// files.
 ///
 /// # Errors
-/// If no presenter has this id, or the presenter refuses parameters, display or layer stacks, or
-/// fails.
+/// If no presenter has this id, or the presenter refuses parameters, display or the first layer
+/// stack, or fails.
 pub fn present(registry: &Registry, id: &str, params: &Value, context: PresentContext<'_>) -> Result<(), HostError> {
     let PresentContext { display, first, input, on_output, task } = context;
     let plugin = registry.output(id, true)?;

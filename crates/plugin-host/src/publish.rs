@@ -98,7 +98,12 @@ pub(crate) fn publish(staging: Staging, plugin: &str, files: &[String]) -> Resul
     // single rename suffices.
     match fs::remove_dir(out_dir) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => merge(&staging, files),
-        _ => fs::rename(&staging.path, out_dir).map_err(HostError::io(out_dir, "move the output into place")),
+        removed => fs::rename(&staging.path, out_dir).map_err(|error| {
+            if removed.is_ok() {
+                let _ = fs::create_dir(out_dir);
+            }
+            HostError::io(out_dir, "move the output into place")(error)
+        }),
     }
 }
 

@@ -60,7 +60,7 @@ impl Registry {
     /// Makes a registry of the compiled-in plugins.
     ///
     /// # Errors
-    /// If a plugin's description is invalid, which is an error of the plugin.
+    /// If a plugin's description is invalid, or two plugins have the same id.
     pub fn built_in() -> Result<Self, HostError> {
         let mut registry = Self::default();
         for (export, _) in BUILT_IN {
@@ -72,7 +72,7 @@ impl Registry {
     /// Adds a compiled-in plugin.
     ///
     /// # Errors
-    /// If another plugin has its id.
+    /// If another compiled-in plugin has its id.
     pub fn add(&mut self, plugin: Plugin) -> Result<(), HostError> {
         match self.plugins.binary_search_by(|other| other.info().id.cmp(&plugin.info().id)) {
             Ok(_) => Err(HostError::DuplicatePlugin(plugin.info().id.clone())),
@@ -109,7 +109,7 @@ impl Registry {
     /// Returns the plugin with this id and kind.
     ///
     /// # Errors
-    /// If no plugin has this id, or if it is of another kind.
+    /// Those of [`get`](Self::get), or if the plugin is of another kind.
     pub fn get_kind(&self, id: &str, kind: PluginKind) -> Result<&Plugin, HostError> {
         let plugin = self.get(id)?;
         let found = plugin.info().kind;
@@ -166,8 +166,8 @@ impl Registry {
     }
 
     /// Returns the errors of libraries, search paths and time limits that cannot be used. The
-    /// program continues without these plugins, and with default limits. Some errors appear only
-    /// after the attempt to load a library.
+    /// program continues without these plugins. If a time limit is invalid, all limits are the
+    /// defaults. Some errors appear only after the attempt to load a library.
     pub fn failed(&self) -> Vec<&LoadError> {
         let loaded = self.libraries.iter().filter_map(|library| library.loaded.get()?.as_ref().err());
         self.failed.iter().chain(loaded).collect()
@@ -176,7 +176,7 @@ impl Registry {
     /// Checks parameters against the schema of the plugin `id`, and fills in defaults.
     ///
     /// # Errors
-    /// If there is no such plugin, or its schema refuses the parameters.
+    /// Those of [`get`](Self::get), or if the plugin's schema refuses the parameters.
     pub fn check_params(&self, id: &str, params: &Value) -> Result<Map<String, Value>, HostError> {
         let info = self.get(id)?.info();
         let resolved = info.schema.resolve(params);

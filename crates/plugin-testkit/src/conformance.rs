@@ -10,7 +10,7 @@ use serde_json::{Map, Value, json};
 use crate::makers;
 use crate::memory_host::MemoryHost;
 use crate::rules::{
-    Broken, allowed, bad_parameters_are_refused, closed, defaults_and_ends, in_words, require, rule, varied,
+    Broken, allowed, bad_parameters_are_refused, closed, defaults_and_ends, in_words, is_reason, require, rule, varied,
 };
 use crate::samples::{Sample, samples};
 
@@ -41,12 +41,12 @@ pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str
 /// parameters. It accepts at least one sample of its ports, and gives a reason if it refuses
 /// another. It produces identical files in a second run and from any thread. It stops on
 /// cancellation, reports a full disk, leaves no file open, and writes through the host only. Most
-/// rules are checked with default parameters, and again with all switches on. Parameters in
-/// `at_default` keep their defaults.
+/// rules are checked with default parameters, and again with switches on and choices at their last
+/// option. Parameters in `at_default` keep their defaults.
 ///
 /// A node or a source produces identical results in a second run, stops on cancellation, and
-/// accepts every display or refuses it with a reason. An importer fails without a panic on invalid
-/// files; [`import_conformance`](crate::import_conformance) checks it on real files.
+/// accepts every display or refuses it with a reason. An importer does not panic on invalid files;
+/// [`import_conformance`](crate::import_conformance) checks it on real files.
 ///
 /// # Errors
 /// The first violated rule.
@@ -77,6 +77,9 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
         }
         _ => true,
     });
+    require("accepts a sample or refuses it with a reason", reasons.iter().all(|reason| is_reason(reason)), || {
+        format!("the plugin refused a sample: {}", reasons.join("; "))
+    })?;
     require("accepts at least one sample of its ports", !samples.is_empty(), || {
         format!("the plugin refused every sample: {}", reasons.join("; "))
     })?;
@@ -94,11 +97,11 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
 }
 
 /// Checks that two builds of one plugin have equal descriptions and produce equal results. Returns
-/// the number of compared files, stacks, light fields or documents.
+/// the number of compared files, stacks, light fields or imports.
 ///
-/// An output writes all samples, with default parameters and with all switches on. For each end of
-/// a parameter's range, it writes one sample. Other plugins make results with default parameters,
-/// and for each end of a parameter's range.
+/// An output writes all samples with default parameters, and again with switches on and choices at
+/// their last option. For each end of a parameter's range, it writes one sample. Other plugins make
+/// results with default parameters, and for each end of a parameter's range.
 ///
 /// # Errors
 /// The first difference.
@@ -191,7 +194,7 @@ fn defaults_work(plugin: &Plugin, sample: &Sample) -> Result<(), Broken> {
     let files = host.files();
     let presents = plugin.info().presents;
     require("an output that does not present writes something", presents || !files.is_empty(), || sample.name.into())?;
-    closed(&host, "default parameters")
+    closed(&host, "with default parameters")
 }
 
 fn same_again_from_any_thread(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<(), Broken> {
@@ -236,8 +239,8 @@ fn stops_when_asked(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<
     if appends > 1 {
         let host = MemoryHost::cancelled_at(0);
         let result = write(plugin, &host, params, sample);
-        let prompt = result == Err(PluginError::Cancelled) || host.opened_after_cancel() == 0;
-        require("opens no further file after cancellation", prompt, || {
+        let noticed = result == Err(PluginError::Cancelled) || host.opened_after_cancel() == 0;
+        require("returns `cancelled` if it opens a file after cancellation", noticed, || {
             format!(
                 "files that were opened after the cancellation: {}; {}",
                 host.opened_after_cancel(),
@@ -271,7 +274,10 @@ fn parameters_in_range_work(plugin: &Plugin, sample: &Sample, at_default: &[&str
         match write(plugin, &host, &params, sample) {
             // A plugin may refuse a value with a reason, since the value may contradict other
             // parameters.
-            Ok(()) | Err(PluginError::Refused(_)) => closed(&host, &format!("with {name} = {value}"))?,
+            Ok(()) => closed(&host, &format!("with {name} = {value}"))?,
+            Err(PluginError::Refused(reason)) if is_reason(&reason) => {
+                closed(&host, &format!("with {name} = {value}"))?;
+            }
             Err(error) => {
                 return Err(Broken {
                     rule: "works with every parameter in its range",

@@ -89,6 +89,12 @@ pub(crate) fn closed(host: &MemoryHost, when: &str) -> Result<(), Broken> {
     })
 }
 
+/// Returns true if a plugin refused with a reason. The host replaces a missing reason by a text
+/// that states the status.
+pub(crate) fn is_reason(text: &str) -> bool {
+    !text.starts_with("expected an error text, found only the status")
+}
+
 /// Describes the result of a call for messages.
 pub(crate) fn in_words<T>(result: &Result<T, PluginError>) -> String {
     match result {

@@ -14,7 +14,7 @@ use lumistack_plugin_host::serve::OutputData;
 pub struct Sample {
     /// The property by which the sample differs from the other samples.
     pub name: &'static str,
-    /// The display for which the data are made.
+    /// The display for which an output is opened.
     pub display: Display,
     kind: Kind,
 }

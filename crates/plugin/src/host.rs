@@ -145,7 +145,8 @@ impl Host {
     /// file that is dropped without a commit is discarded.
     ///
     /// # Errors
-    /// If the path is absolute or leaves the folder, or the host cannot write.
+    /// If the path is absolute, leaves the folder, or has a name that some system refuses. Also if
+    /// the file already exists in this output, the user cancelled, or the host cannot write.
     pub fn create(&self, path: &str) -> Result<OutputFile, PluginError> {
         let mut file = 0;
         // SAFETY: the context belongs to the table, and the text is lent for the call; `file` is

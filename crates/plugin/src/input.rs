@@ -217,7 +217,7 @@ impl FieldInput<'_> {
     /// Copies all views.
     ///
     /// # Errors
-    /// If the host cannot lend a view, or lends one of another shape.
+    /// If the host cannot lend a view, or lends a view with another number of values.
     pub fn to_light_field(&self) -> Result<LightField, PluginError> {
         let geometry = self.geometry.clone();
         let mut whole =

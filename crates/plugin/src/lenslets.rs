@@ -53,8 +53,8 @@ pub struct Spot {
 
 impl LensletPanel {
     /// Makes the panel behind the lenslet array of a display file. If the file has no measured
-    /// focal length, the focal length is p / (2 tan(α/2)), with the lens pitch p and the bins'
-    /// horizontal angle α. Then the horizontal bins fill the width of the panel behind one lens.
+    /// focal length, the focal length is p / (2 tan(α/2)). Here p is the backlight's `pitch_mm`,
+    /// and α is the bins' horizontal angle. Then the horizontal bins fill a width p of the panel.
     pub fn new(backlight: &LensletBacklight, resolution: [usize; 2], pitch_mm: f64) -> Self {
         let lens = backlight.lens.clone().unwrap_or_default();
         let fitting_mm = backlight.pitch_mm / (2.0 * (0.5 * backlight.fov_deg[0].to_radians()).tan());
@@ -239,9 +239,9 @@ mod tests {
             }
             let share = same as f64 / all as f64;
             println!("{rotation_deg}°, {offset_mm:?}: {share:.4} of the rays");
-            // A bin is 7.2 pixels of this panel wide on both axes. A ray near a bin's border may
-            // hit a pixel whose centre is in the next bin. This pixel has the value of the next
-            // bin.
+            // A bin is about 7 pixels of this panel wide on both axes. A ray near a bin's border
+            // may hit a pixel whose centre is in the next bin. This pixel has the value of the
+            // next bin.
             assert!(share > 0.85, "{share}");
         }
     }

@@ -189,12 +189,13 @@ impl Schema {
         Self { params: params.into_iter().collect() }
     }
 
-    /// Checks the given parameters (an object) and fills in the defaults of all other parameters.
+    /// Checks the given parameters (an object, or null for none) and fills in the defaults of all
+    /// other parameters.
     ///
     /// # Errors
-    /// If `given` is not an object, or if a parameter does not exist, is of the wrong type, or is
-    /// out of range. For an unknown name, the message states the most similar name. If no name is
-    /// similar, it lists all names.
+    /// If `given` is neither an object nor null. Also if a parameter does not exist, is of the
+    /// wrong type, or is out of range. For an unknown name, the message states the most similar
+    /// name. If no name is similar, it lists all names.
     pub fn resolve(&self, given: &Value) -> Result<Map<String, Value>, ParamError> {
         let empty = Map::new();
         let given = match given {

@@ -1,14 +1,15 @@
 //! Validates [`SceneParts`] to a [`Scene`]: defects that prevent rendering are errors; other
 //! defects are repaired, most of them with a warning.
 
-use std::f32::consts::FRAC_PI_2;
+use std::f32::consts::{FRAC_PI_2, PI};
 use std::ops::Deref;
 
 use glam::{Affine3A, Mat3A, Vec2, Vec3, Vec3A};
 use lumistack_core::Task;
 
 use crate::{
-    AlphaMode, Bounds, Camera, Instance, Lamp, LightKind, Material, Mesh, Pixels, SceneError, SceneParts, TextureUse,
+    AlphaMode, Bounds, Camera, Instance, Lamp, LightKind, Material, Mesh, Pixels, Projection, SceneError, SceneParts,
+    TextureUse,
 };
 
 /// Largest number of splats of a scene, copies included. A small file may place one cloud any
@@ -242,6 +243,11 @@ impl SceneParts {
                     environment.strength.to_string(),
                 ));
             }
+            let rotation = environment.scene_from_environment;
+            if !(rotation.is_finite() && rotation.length_squared().is_normal()) {
+                let expected = "a finite quaternion of nonzero length";
+                return Err(SceneError::new("environment rotation", expected, rotation.to_string()));
+            }
             if !matches!(self.images[environment.image].pixels, Pixels::RgbF32(_)) {
                 return Err(SceneError::new(
                     &self.images[environment.image].name,
@@ -406,6 +412,19 @@ impl SceneParts {
                 matrix3: Mat3A::from_cols(x, Vec3A::cross(z, x), z),
                 translation: camera.scene_from_camera.translation,
             };
+            let is_positive = |value: f32| value > 0.0 && value.is_finite();
+            let (is_valid, expected) = match camera.projection {
+                Projection::Perspective { vertical_fov_rad: fov, aspect } => {
+                    let is_valid = fov > 0.0 && fov < PI && aspect.is_none_or(is_positive);
+                    (is_valid, "a vertical angle of view between 0 and π, and a finite aspect above 0")
+                }
+                Projection::Orthographic { half_width, half_height } => {
+                    (is_positive(half_width) && is_positive(half_height), "a finite half width and height above 0")
+                }
+            };
+            if !is_valid {
+                return Err(SceneError::new(place, expected, format!("{:?}", camera.projection)));
+            }
             if let Some(distance) = camera.focus_distance
                 && !(distance.is_finite() && distance > 0.0)
             {
@@ -635,6 +654,40 @@ mod tests {
         let names: Vec<_> = scene.unwrap().cameras.iter().map(|camera| camera.name.clone()).collect();
         assert_eq!(names, ["seen"]);
         assert!(warnings.len() == 1 && warnings[0].to_string().contains("camera hidden"), "{warnings:?}");
+    }
+
+    #[test]
+    fn impossible_cameras_and_rotations_are_refused() {
+        let refused = |projection| {
+            let mut parts = triangle();
+            let scene_from_camera = Affine3A::IDENTITY;
+            parts.cameras =
+                vec![Camera { name: "a".into(), scene_from_camera, projection, focus_distance: None, near: None }];
+            validate(parts).0.unwrap_err().to_string()
+        };
+        for vertical_fov_rad in [0.0, -1.0, PI, f32::NAN] {
+            let error = refused(Projection::Perspective { vertical_fov_rad, aspect: None });
+            assert!(error.starts_with("camera a: expected a vertical angle of view between 0 and π"), "{error}");
+        }
+        for value in [0.0, f32::INFINITY] {
+            let error = refused(Projection::Perspective { vertical_fov_rad: 1.0, aspect: Some(value) });
+            assert!(error.contains("a finite aspect above 0"), "{error}");
+            let error = refused(Projection::Orthographic { half_width: 1.0, half_height: value });
+            assert!(error.starts_with("camera a: expected a finite half width"), "{error}");
+        }
+        for turn in [f32::NAN, 0.0] {
+            let mut parts = triangle();
+            parts.images.push(Image {
+                name: "sky".into(),
+                width: 1,
+                height: 1,
+                pixels: Pixels::RgbF32(vec![[1.0; 3]]),
+            });
+            let scene_from_environment = glam::Quat::from_array([turn; 4]);
+            parts.environment = Some(crate::Environment { image: 0, strength: Vec3::ONE, scene_from_environment });
+            let error = validate(parts).0.unwrap_err().to_string();
+            assert!(error.starts_with("environment rotation: expected a finite quaternion"), "{error}");
+        }
     }
 
     #[test]

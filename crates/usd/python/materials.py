@@ -31,6 +31,8 @@ OPERATIONS = (
 FRAME = ("normal", "tangent", "bitangent")
 SIZES = {"float": 1, "integer": 1, "boolean": 1, "vector2": 2, "color3": 3, "vector3": 3, "color4": 4, "vector4": 4}
 OUTPUT_CHANNELS = {"r": [0], "g": [1], "b": [2], "a": [3], "rgb": [0, 1, 2], "rgba": [0, 1, 2, 3]}
+# Components of the inputs of nodes that combine more than single numbers.
+WIDTHS = {"color4CF": [3, 1], "vector4VF": [3, 1], "vector4VV": [2, 2]}
 ADDRESS_MODES = {"constant": "black", "clamp": "clamp", "periodic": "repeat", "mirror": "mirror"}
 SRGB = ("srgb_texture", "sRGB", "srgb_rec709_scene", "srgb_rec709_display", "g22_rec709")
 # Converts the primaries of ACES AP1 to linear Rec. 709, with Bradford adaptation of white to D65.
@@ -293,7 +295,7 @@ class Graph:
         """Computes the result of an arithmetic node of MaterialX. The node's inputs may be
         constants. They may be textures if the result is a texture with another scale and bias."""
         parts = kind[3:].split("_")
-        name, count = parts[0], SIZES.get(parts[-1].replace("FA", ""), 3)
+        name = parts[0]
         if name == "convert":
             count = SIZES.get(parts[-1], 3)
             return self.converted(self.get(shader, "in"), count)
@@ -305,7 +307,8 @@ class Graph:
             # input keeps its default. The default is the same vector, so nothing is lost.
             return None
         if name in OPERATIONS:
-            count = SIZES.get(parts[1].replace("FA", ""), 3)
+            # a suffix such as FA has the types of the inputs
+            count = SIZES.get(parts[1].rstrip("ACFV"), 3)
             found = getattr(self, "do_" + name.rstrip("234"))(shader, count, output)
             if found is not None:
                 return found
@@ -413,9 +416,11 @@ class Graph:
     do_transformvector = do_transformnormal
 
     def do_clamp(self, shader, count, output):
-        found = self.get(shader, "in")
-        low = widened(self.value(shader, "low", [0.0]), count)
-        high = widened(self.value(shader, "high", [1.0]), count)
+        return self.clamped(shader, self.get(shader, "in"), ("low", "high"), count)
+
+    def clamped(self, shader, found, limits, count):
+        """Clamps a value to two inputs of a shader, whose names are `limits`."""
+        low, high = (widened(self.value(shader, name, [default]), count) for name, default in zip(limits, (0.0, 1.0)))
         if found and "value" in found:
             return constant([min(max(v, a), b) for v, a, b in zip(widened(found["value"], count), low, high)])
         if found and "texture" in found:
@@ -440,7 +445,10 @@ class Graph:
         return {"texture": rescaled(found["texture"], scale, bias)} if "texture" in found else None
 
     def do_range(self, shader, count, output):
-        return self.do_remap(shader, count, output) if self.value(shader, "gamma", 1.0) == 1.0 else None
+        if self.value(shader, "gamma", 1.0) != 1.0:
+            return None
+        found = self.do_remap(shader, count, output)
+        return self.clamped(shader, found, ("outlow", "outhigh"), count) if self.value(shader, "doclamp", 0.0) else found
 
     def do_extract(self, shader, count, output):
         return picked(self.get(shader, "in"), [int(self.value(shader, "index", 0.0))])
@@ -455,8 +463,13 @@ class Graph:
         return picked(self.get(shader, "in"), [order[letter] for letter in letters if letter in order])
 
     def do_combine(self, shader, count, output):
-        parts = [self.get(shader, "in%d" % number) for number in range(1, count + 1)]
-        parts = [constant([0.0]) if found is None else found for found in parts]
+        widths = WIDTHS.get(str(shader.GetIdAttr().Get()).split("_")[2], [1] * count)
+        parts = []
+        for number, width in enumerate(widths, 1):
+            found = self.get(shader, "in%d" % number)
+            parts += [constant([0.0]) if found is None else picked(found, [i]) for i in range(width)]
+        if None in parts:
+            return None
         textures = [found["texture"] for found in parts if "texture" in found]
         if not textures:
             return constant([found["value"][0] for found in parts]) if all("value" in found for found in parts) else None
@@ -470,12 +483,10 @@ class Graph:
         for found in parts:
             if "texture" in found:
                 picked_part = {key: found["texture"][key][0] for key in ("channels", "scale", "bias", "fallback")}
-            elif "value" in found:
+            else:
                 # A constant becomes a channel with scale 0 and the constant as bias.
                 value = found["value"][0]
                 picked_part = {"channels": first["channels"][0], "scale": 0.0, "bias": value, "fallback": value}
-            else:
-                return None
             for key, value in picked_part.items():
                 combined[key].append(value)
         return {"texture": combined}

@@ -171,12 +171,12 @@ def contents(stage):
         if not prim.IsInstanceProxy()
     ]
     prims = meshes = points = 0
-    cameras = []
+    cameras, time = [], time_code(stage, None)
     for prim in stage.Traverse():
         prims += 1
         if prim.IsA(UsdGeom.Mesh):
             meshes += 1
-            values = UsdGeom.Mesh(prim).GetPointsAttr().Get()
+            values = UsdGeom.Mesh(prim).GetPointsAttr().Get(time)
             points += len(values) if hasattr(values, "__len__") else 0
         elif prim.IsA(UsdGeom.Camera):
             cameras.append(str(prim.GetPath()))

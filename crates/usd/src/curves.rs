@@ -106,9 +106,10 @@ pub(crate) fn tessellate(curves: &Curves<'_>) -> Geometry {
     let segments: usize =
         curves.vertex_counts.iter().map(|&count| segment_count(curves, usize::try_from(count).unwrap_or(0))).sum();
     let triangles = |(steps, sides): (usize, usize)| segments.saturating_mul(2 * steps * sides);
-    let fits = DETAIL.into_iter().find(|&detail| triangles(detail) <= MOST_TRIANGLES);
-    let (steps, sides) = fits.unwrap_or(DETAIL[DETAIL.len() - 1]);
-    let steps = if curves.basis == Basis::Linear { 1 } else { steps };
+    // a straight segment needs no samples between its ends
+    let detail = DETAIL.map(|(steps, sides)| (if curves.basis == Basis::Linear { 1 } else { steps }, sides));
+    let fits = detail.into_iter().find(|&detail| triangles(detail) <= MOST_TRIANGLES);
+    let (steps, sides) = fits.unwrap_or(detail[detail.len() - 1]);
     let mut geometry = Geometry::default();
     let (mut first_point, mut first_end) = (0usize, 0usize);
     for (curve, &count) in curves.vertex_counts.iter().enumerate() {
@@ -504,6 +505,14 @@ mod tests {
         let base = 6.0 * 0.25 * 0.5;
         assert!((geometry.volume() - 3.0 * base).abs() < 1e-5, "{}", geometry.volume());
         assert!((geometry.area() - (2.0 * base + 3.0 * 12.0 * (PI / 12.0).sin())).abs() < 1e-5);
+    }
+
+    /// A tube of 20,000 straight segments is within the limit of triangles, so it keeps 12 sides.
+    #[test]
+    fn straight_segments_count_as_one_step() {
+        let points: Vec<Vec3> = (0..=20_000).map(|i| Vec3::X * i as f32).collect();
+        let geometry = tessellate(&curves(&points, &[20_001], Basis::Linear, Wrap::Nonperiodic));
+        assert_eq!(geometry.triangles.len(), 2 * 12 * 20_000 + 2 * 12);
     }
 
     #[test]

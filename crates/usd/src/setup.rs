@@ -13,9 +13,12 @@ use crate::python::{Surroundings, interpreter, own_environment};
 /// Python code that prints the version of the interpreter, and fails if the version is too old.
 const VERSION: &str =
     "import sys, platform; print('Python', platform.python_version()); sys.exit(sys.version_info < (3, 8))";
-/// Python code that prints the version of OpenUSD, and fails if OpenUSD is missing.
+/// Python code that prints the version of OpenUSD, and fails if OpenUSD is missing or older than
+/// the version that `python/boot.py` requires.
 pub(crate) const CHECK: &str = "import sys\ntry: from pxr import Usd, Sdf\nexcept ImportError as error: sys.exit(str(error))\n\
-    v = Usd.GetVersion(); print('OpenUSD %d.%02d' % v[1:], 'with' if Sdf.FileFormat.FindByExtension('mtlx') else 'without', 'MaterialX')";
+    v = Usd.GetVersion()\n\
+    if v < (0, 23, 5): sys.exit('OpenUSD %d.%02d is older than 23.05' % v[1:])\n\
+    print('OpenUSD %d.%02d' % v[1:], 'with' if Sdf.FileFormat.FindByExtension('mtlx') else 'without', 'MaterialX')";
 
 /// Options of the setup.
 #[derive(Clone, Debug, Default)]

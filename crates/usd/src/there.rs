@@ -19,7 +19,7 @@ const OLDEST_BLENDER: [u32; 2] = [4, 2];
 /// is no such program, `Err` lists the programs that were tried, each with its failure.
 pub type There = Result<(String, String), Vec<String>>;
 
-/// Finds the first Python that has OpenUSD. It may be too old for [`load`](crate::load).
+/// Finds the first Python that has a supported version of OpenUSD.
 ///
 /// # Errors
 /// If the search is cancelled.

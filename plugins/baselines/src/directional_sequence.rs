@@ -10,9 +10,9 @@
 //! ```
 //!
 //! The product Π is over all layers, and the peak of a layer is its largest transmittance. If every
-//! direction has its own frame (M = A), all views are exact. With fewer frames the display is
-//! brighter, but neighbouring directions share a frame, in which the layer shows the mean of their
-//! views.
+//! direction has its own frame (M = A), all views are exact. This requires one view per direction,
+//! and a layer pixel for each pixel of a view. With fewer frames the display is brighter, but
+//! neighbouring directions share a frame, in which the layer shows the mean of their views.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};

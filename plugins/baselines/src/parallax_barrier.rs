@@ -12,8 +12,9 @@
 //!
 //! The value of a rear pixel is the mean of the target over all rays through the rear pixel and an
 //! open mask pixel. This mean is the least-squares optimum for a mask of zeros and ones. Suppose
-//! that the period is at least the number of views. Then rays of different views through one slit
-//! hit different rear pixels, and the display shows every ray through an open mask pixel exactly.
+//! that the period is at least the number of views, and that the rays of neighbouring views through
+//! a slit hit neighbouring rear pixels. Then the display shows every ray through an open mask pixel
+//! exactly.
 //! With M = P frames every mask pixel is open in exactly one frame, so the display emits β times
 //! the target along every ray. The brightness β is the product of both layers' largest
 //! transmittances, divided by P. With fewer frames some mask pixels are never open. The display

@@ -9,7 +9,7 @@
 //! known entries and 0 for all others. Here ⊛ and the fraction work element by element:
 //!
 //! ```text
-//! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ (F Gᵀ / M)) G], G likewise, clamped to 0..1
+//! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ (F Gᵀ / M)) G], G likewise, clamped to the layer's range
 //! ```
 //!
 //! This is eq. (16) of the paper "Tensor Displays" for N = 2. The plugin always uses this rule, not

@@ -42,9 +42,9 @@ struct Tile<'a> {
     encoding: &'a Transfer,
 }
 
-/// Returns the transfer function that all layers share; `None` if they have different ones.
-pub(crate) fn shared<'a>(transfers: &[&'a Transfer]) -> Option<&'a Transfer> {
-    let (first, others) = transfers.split_first()?;
+/// Returns the value that all layers share; `None` if they have different values.
+pub(crate) fn shared<T: Copy + PartialEq>(values: &[T]) -> Option<T> {
+    let (first, others) = values.split_first()?;
     others.iter().all(|other| other == first).then_some(*first)
 }
 

@@ -40,20 +40,20 @@ pub(crate) fn samples16(transfer: &Transfer, panel: Option<PanelCodes>, size: [u
     }
 }
 
-/// Converts a code of `bits` bits to a sample of a file with more bits, whose largest sample is
+/// Converts a code of `bits` bits to a sample of a file with no fewer bits, whose largest sample is
 /// `top`. The sample is code · top / (2^bits − 1), rounded, so its highest bits are the code.
 fn spread(code: u16, bits: u32, top: u32) -> u32 {
     let own = (1u32 << bits) - 1;
     ((u64::from(code) * u64::from(top) + u64::from(own / 2)) / u64::from(own)) as u32
 }
 
-/// Encodes samples of 8 bits per channel as PNG. The PNG states `transfer` if the format can; see
+/// Encodes samples of 8 bits per channel as PNG. The PNG states most kinds of `transfer`; see
 /// [`say_encoding`].
 pub(crate) fn png8(samples: &[u8], size: [usize; 2], transfer: &Transfer) -> Result<Vec<u8>, PluginError> {
     png_bytes(samples, size, png::BitDepth::Eight, transfer)
 }
 
-/// Encodes samples of 16 bits per channel as PNG. The PNG states `transfer` if the format can; see
+/// Encodes samples of 16 bits per channel as PNG. The PNG states most kinds of `transfer`; see
 /// [`say_encoding`].
 pub(crate) fn png16(samples: &[u16], size: [usize; 2], transfer: &Transfer) -> Result<Vec<u8>, PluginError> {
     let bytes: Vec<u8> = samples.iter().flat_map(|sample| sample.to_be_bytes()).collect();
@@ -79,8 +79,9 @@ fn png_bytes(
     Ok(bytes)
 }
 
-/// States the transfer function of the codes in the PNG's chunk sRGB or gAMA. PNG cannot state a
-/// measured curve, or different curves for the channels. For such functions no chunk is written.
+/// States the transfer function of the codes in the PNG's chunk sRGB or gAMA. These chunks cannot
+/// state a measured curve, or different curves for the channels. For such functions no chunk is
+/// written.
 pub(crate) fn say_encoding<W: std::io::Write>(encoder: &mut png::Encoder<'_, W>, transfer: &Transfer) {
     match transfer {
         Transfer::Srgb => encoder.set_source_srgb(png::SrgbRenderingIntent::RelativeColorimetric),

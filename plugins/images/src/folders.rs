@@ -8,7 +8,7 @@
 //!   depth z = D − Z, and its disparity is Δs·D·z/((D − z)·pitch). For parallel projections the
 //!   disparity is Δs·z/pitch. `gt_disp_lowres.pfm` contains the disparities of the central view. If
 //!   the host does not know the depth of this view, all these values are NaN. The range of
-//!   disparities is then computed from the display's depth of field.
+//!   disparities is then that of the display's depth of field, or 0 to 0 without a depth of field.
 //! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, with view row RR, view column CC and the camera's centre
 //!   in millimetres, X right, Y down.
 //!
@@ -130,7 +130,7 @@ impl Cameras<'_> {
     fn parameters(&self, step: f64, disparities: &[f32], settings: &Settings<'_>) -> String {
         let grid = &self.geometry.grid;
         let distance_mm = self.distance_mm();
-        // The depth of field may reach to infinity or to the cameras, where disparities are
+        // The depth of field may reach to infinity or to the cameras, where disparities may be
         // infinite. So limit disparities to the length of a picture's longer side.
         let most = self.geometry.rows.max(self.geometry.cols) as f64;
         let shown = settings.shown_mm.map(|[low, high]| {
@@ -192,8 +192,8 @@ pub(crate) fn write(
 ) -> Result<Vec<(String, [usize; 2])>, PluginError> {
     let geometry = source.geometry();
     let cameras = Cameras { geometry, nominal_mm: settings.nominal_mm };
-    // The HCI format requires equal distances between cameras, so check these before any file is
-    // written.
+    // The HCI format requires equal distances between cameras, so check these before any file of
+    // the folder is written.
     let step = match archive {
         Archive::Hci => Some(cameras.step()?),
         Archive::Stanford => None,

@@ -12,7 +12,7 @@
 //! | `atlas.png`, `atlas.json` | the masks of all layers and frames on one sheet, and their positions |
 //! | `sheet.png` | contact sheet: reduced pictures of all masks and of the selected views, with captions |
 //! | `stack.npz` | the values of all masks and of the emission, the layers' distances, and β |
-//! | `images.json` | content and encoding of every file |
+//! | `images.json` | content and encoding of every picture and NumPy archive |
 //!
 //! Files of a light field: `view_YY_XX.png` for every view; `views.npz`, the values of all views;
 //! `sheet.png`, all views reduced.
@@ -23,11 +23,12 @@
 //!
 //! Names of 16-bit PNGs end in `_16bit.png`, except in `hci/` and `stanford/`. EXR and NPZ files
 //! contain the values themselves, linear. If `encode` is `linear`, the codes of masks, the
-//! backlight and single views are proportional to light, and their PNGs have `_linear` in their
-//! names. This does not apply to `hci/` and `stanford/`. The second time step of a sequence is
-//! written to `t0001/`, the third to `t0002/`, and so on.
+//! backlight and single views are linear in light, and their PNGs have `_linear` in their names.
+//! But `atlas.png` keeps its name, and pictures in `hci/` and `stanford/` stay sRGB. The second
+//! time step of a sequence is written to `t0001/`, the third to `t0002/`, and so on.
 //!
-//! Memory does not grow with the number of frames. `views.exr` needs twice the memory of all views.
+//! Memory does not grow with the number of frames. `views.exr` needs up to twice the memory of all
+//! views.
 
 mod animation;
 mod arrays;
@@ -64,7 +65,7 @@ pub struct Images {
 
 impl OutputPlugin for Images {
     const DOC: &'static str = "Writes layer patterns, backlight patterns and views: PNG and EXR pictures, atlas sheets, NumPy archives, \
-        a contact sheet, an animation, HCI and Stanford folders. The file images.json describes every file.";
+        a contact sheet, an animation, HCI and Stanford folders. The file images.json describes every picture and NumPy archive.";
     const PORTS: &'static [Port] = &[Port::LayerStack, Port::LightField];
     type Params = ImagesParams;
 

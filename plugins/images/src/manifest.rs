@@ -1,4 +1,4 @@
-//! `images.json`, which describes every file that the plugin writes.
+//! `images.json`, which describes every picture and NumPy archive that the plugin writes.
 
 use lumistack_plugin::display::Transfer;
 use lumistack_plugin::serde::Serialize;
@@ -23,7 +23,7 @@ pub(crate) struct Entry {
     pub(crate) content: Content,
     #[serde(flatten)]
     pub(crate) format: Format,
-    /// True if the stored values are proportional to light.
+    /// True if the stored values are linear in light.
     pub(crate) linear: bool,
     /// Columns and rows, if the file is a picture.
     #[serde(flatten)]
@@ -67,8 +67,8 @@ pub(crate) enum Content {
     /// All views of the grid in one file.
     Views { views: Vec<NamedView>, divided_by: f64 },
     /// An animation with the slope of every picture. `nearest` is true for a light field, where
-    /// each picture is the view nearest to the slope. Pictures of a layer stack are simulated at
-    /// the slope itself.
+    /// each picture is the view nearest to the viewpoint, with this view's slope. Pictures of a
+    /// layer stack are simulated at the viewpoint.
     Animation { slopes: Vec<[f64; 2]>, nearest: bool, pictures_per_second: u16, divided_by: f64 },
     /// All masks on one sheet; the file `index` lists their positions.
     Atlas { index: String },
@@ -95,8 +95,8 @@ pub(crate) struct NamedView {
 #[serde(crate = "lumistack_plugin::serde", tag = "format", rename_all = "snake_case")]
 pub(crate) enum Format {
     /// PNG with code values. `encoding` is missing if parts of the picture have different transfer
-    /// functions. `panel_bits` is stated if the bits of the driven panel are known, and `dither` if
-    /// the codes are dithered.
+    /// functions. `panel_bits` is stated if the bits of the driven panel are known; in the atlas,
+    /// only if all panels share them. `dither` is stated if the codes are dithered.
     Png {
         bits: u32,
         #[serde(skip_serializing_if = "Option::is_none")]

@@ -107,7 +107,7 @@ pub(crate) fn schema() -> Schema {
             [
                 ("panel", "Masks by their panels' transfer functions and ranges; views in sRGB."),
                 ("srgb", "All pictures in sRGB."),
-                ("linear", "Codes proportional to light."),
+                ("linear", "Masks, backlights and single views linear in light; all other pictures in sRGB."),
             ],
             "Encoding of linear values as code values of PNG pictures.",
         ),

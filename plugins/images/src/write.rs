@@ -65,15 +65,21 @@ impl Images {
         let folder = folder(time);
         if self.params.atlas {
             let samples = |layer, frame| self.layer_samples(stack, layer, frame);
-            let layers = self.display.layers.iter();
-            let transfers: Vec<&Transfer> = layers.map(|layer| self.params.encode.of_panel(&layer.transfer)).collect();
+            let layers = &self.display.layers;
+            let transfers: Vec<&Transfer> =
+                layers.iter().map(|layer| self.params.encode.of_panel(&layer.transfer)).collect();
             let [width, height] = atlas::write(&self.host, &folder, stack, &transfers, samples)?;
             let content = Content::Atlas { index: format!("{folder}atlas.json") };
             // Each tile is encoded by the transfer function of its own panel, which the index
-            // states. The entry states the function only if all tiles share it.
-            let encoding = atlas::shared(&transfers).cloned();
-            let format = Format::Png { bits: 8, encoding, panel_bits: None, dither: None };
-            let linear = self.params.encode == Encode::Linear;
+            // states. The entry states the function, and likewise the bits of the panels, only if
+            // all tiles share them.
+            let encoding = atlas::shared(&transfers);
+            let codes_of = |layer| self.panel(PanelKind::Layer(layer), 0).map(|panel| panel.codes);
+            let bits: Vec<_> = layers.iter().map(|layer| codes_of(layer)?.bits.map(|bits| bits.min(8))).collect();
+            let codes = layers.first().and_then(codes_of);
+            let codes = codes.map(|codes| PanelCodes { bits: atlas::shared(&bits).flatten(), ..codes });
+            let format = self.png_format(8, encoding, codes);
+            let linear = encoding == Some(&Transfer::Linear);
             entries.push(entry(format!("{folder}atlas.png"), content, format, linear, Some([height, width]), time));
         }
         if self.params.sheet {
@@ -235,7 +241,7 @@ impl Images {
                 legend += "Patterns: one row per frame, layers from rear (left) to front; a pixel's transmittance (or emission, or rotation), 0 to 1, \
                            shown in sRGB.\n";
                 legend += &format!(
-                    "Views: the emitted light divided by the brightness β = {:.3}, to which a viewer's eyes adapt, in sRGB.",
+                    "Views: the emitted light divided by the brightness {:.3}, to which a viewer's eyes adapt, in sRGB.",
                     stack.brightness()
                 );
                 let chosen = match self.params.views {
@@ -332,7 +338,7 @@ impl Images {
             for (file, view) in files {
                 let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
                 let content = Content::ArchiveView { archive: name, view, slope, divided_by };
-                let format = self.png_format(bits, &Transfer::Srgb, None);
+                let format = self.png_format(bits, Some(&Transfer::Srgb), None);
                 entries.push(entry(file, content, format, false, Some(size), time));
             }
         }
@@ -366,11 +372,11 @@ impl Images {
             };
             if params.png8 {
                 let bytes = png8(&samples8(transfer, codes, size, &driven), size, transfer)?;
-                write(format!("{linear}.png"), self.png_format(8, transfer, codes), proportional, bytes)?;
+                write(format!("{linear}.png"), self.png_format(8, Some(transfer), codes), proportional, bytes)?;
             }
             if params.png16 {
                 let bytes = png16(&samples16(transfer, codes, size, &driven), size, transfer)?;
-                write(format!("{linear}_16bit.png"), self.png_format(16, transfer, codes), proportional, bytes)?;
+                write(format!("{linear}_16bit.png"), self.png_format(16, Some(transfer), codes), proportional, bytes)?;
             }
         }
         if params.exr {
@@ -410,7 +416,7 @@ impl Images {
         (self.params.encode == Encode::Panel).then_some(Panel { kind, codes })
     }
 
-    fn png_format(&self, bits: u32, transfer: &Transfer, codes: Option<PanelCodes>) -> Format {
+    fn png_format(&self, bits: u32, transfer: Option<&Transfer>, codes: Option<PanelCodes>) -> Format {
         let panel_bits = codes.and_then(|codes| codes.bits).map(|panel| panel.min(bits));
         let dither = codes.and_then(|codes| match codes.dither {
             Dither::None => None,
@@ -418,7 +424,7 @@ impl Images {
             Dither::BlueNoise => Some("blue_noise"),
             Dither::Diffusion => Some("diffusion"),
         });
-        Format::Png { bits, encoding: Some(transfer.clone()), panel_bits, dither }
+        Format::Png { bits, encoding: transfer.cloned(), panel_bits, dither }
     }
 }
 

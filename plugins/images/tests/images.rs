@@ -243,7 +243,7 @@ fn a_measured_panel_of_few_bits_shows_the_right_mean_light() {
     let layer = sample.stack().unwrap().layers[0].clone();
     let [frames, rows, cols, _] = layer.shape();
     for dither in ["none", "ordered", "blue_noise", "diffusion"] {
-        let files = write(&sample, json!({"bits": 3, "dither": dither, "png16": true})).unwrap();
+        let files = write(&sample, json!({"bits": 3, "dither": dither, "png16": true, "atlas": true})).unwrap();
         for frame in 0..frames {
             let [eight, sixteen] = ["", "_16bit"].map(|end| png(&files, &format!("layer_0_frame_{frame:02}{end}.png")));
             assert!(eight.1.iter().all(|code| (0..8).any(|k| u32::from(*code) == (k * 255 + 3) / 7)), "3 bits");
@@ -257,9 +257,11 @@ fn a_measured_panel_of_few_bits_shows_the_right_mean_light() {
             }
         }
         let manifest: Value = from_slice(&files["images.json"]).unwrap();
-        let entry = manifest["files"].as_array().unwrap().iter().find(|e| e["file"] == "layer_0_frame_01.png").unwrap();
-        assert_eq!(entry["panel_bits"], 3);
-        assert_eq!(entry["dither"], if dither == "none" { Value::Null } else { json!(dither) });
+        for name in ["layer_0_frame_01.png", "atlas.png"] {
+            let entry = manifest["files"].as_array().unwrap().iter().find(|entry| entry["file"] == name).unwrap();
+            assert_eq!(entry["panel_bits"], 3, "{name}");
+            assert_eq!(entry["dither"], if dither == "none" { Value::Null } else { json!(dither) }, "{name}");
+        }
         assert_eq!((rows, cols), (6, 8));
     }
     // Without the parameter `bits`, the panel has the two bits of the display file, so all codes
@@ -573,7 +575,10 @@ fn pngs_say_how_their_codes_stand_for_light() {
             assert!(has(&files, &name, "sRGB") == srgb && (srgb || has(&files, &name, "gAMA")), "{name}");
         }
     }
-    for name in files.keys().filter(|name| name.starts_with("view_") && name.ends_with(".png")) {
+    let views: Vec<&String> =
+        files.keys().filter(|name| name.starts_with("simulated_") && name.ends_with(".png")).collect();
+    assert_eq!(views.len(), 2 * 5, "8 and 16 bits, the central view and four corners");
+    for name in views {
         assert!(has(&files, name, "sRGB"), "{name}");
     }
     assert!(has(&files, "sheet.png", "sRGB") && has(&files, "swing.png", "sRGB"));
@@ -584,14 +589,23 @@ fn pngs_say_how_their_codes_stand_for_light() {
     let entry = |files: &Files| {
         let manifest: Value = from_slice(&files["images.json"]).unwrap();
         let entries = manifest["files"].as_array().unwrap();
-        entries.iter().find(|entry| entry["file"] == "atlas.png").unwrap()["encoding"].clone()
+        entries.iter().find(|entry| entry["file"] == "atlas.png").unwrap().clone()
     };
-    assert_eq!(entry(&files), "linear");
+    assert!(entry(&files)["encoding"] == "linear" && entry(&files)["linear"] == true);
     let files = write(&sample, json!({"atlas": true})).unwrap();
     let index: Value = from_slice(&files["atlas.json"]).unwrap();
     let encodings: Vec<&Value> = (0..3).map(|layer| &index["tiles"][layer]["encoding"]).collect();
-    assert!(entry(&files).is_null() && encodings[0] == "srgb" && encodings[1] == "linear", "{encodings:?}");
+    assert!(entry(&files)["encoding"].is_null() && entry(&files)["linear"] == false, "{}", entry(&files));
+    assert!(encodings[0] == "srgb" && encodings[1] == "linear", "{encodings:?}");
     assert!(encodings[2].to_string().contains("2.2"), "{encodings:?}");
+    // The entry of an atlas also states the bits of the panels only if all panels share them.
+    let mut sample = sample;
+    sample.display.layers.iter_mut().for_each(|layer| (layer.transfer, layer.bits) = (Transfer::Linear, Some(6)));
+    let atlas = entry(&write(&sample, json!({"atlas": true})).unwrap());
+    assert!(atlas["encoding"] == "linear" && atlas["linear"] == true && atlas["panel_bits"] == 6, "{atlas}");
+    sample.display.layers[1].bits = None;
+    let atlas = entry(&write(&sample, json!({"atlas": true})).unwrap());
+    assert!(atlas["panel_bits"].is_null(), "{atlas}");
     let files = write(&light_field(), json!({"stanford": true})).unwrap();
     let stanford = files.keys().find(|name| name.starts_with("stanford/") && name.ends_with(".png")).unwrap();
     assert!(has(&files, stanford, "sRGB"));

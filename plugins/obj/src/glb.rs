@@ -172,7 +172,7 @@ fn add_materials(root: &mut Value, materials: &[MtlMaterial]) {
     }
 }
 
-/// The document's pictures, samplers and textures, without duplicates.
+/// The document's pictures and textures, without duplicates.
 #[derive(Default)]
 struct Pictures {
     images: Vec<Value>,

@@ -150,9 +150,8 @@ impl Pattern {
         })
     }
 
-    /// For the test patterns of a backlight, lights only the chosen lenslet or angular bin. Other
-    /// test patterns leave the emission unchanged.
-    fn set_emission(self, display: &Display, stack: &mut LayerStack) -> Result<(), PatternError> {
+    /// Refuses the test pattern of a lenslet or bin that the display does not have.
+    pub(crate) fn check(self, display: &Display) -> Result<(), PatternError> {
         let (kind, at) = match self {
             Self::Lenslet(at) => ("lenslet", at),
             Self::View(at) => ("view", at),
@@ -167,10 +166,22 @@ impl Pattern {
             let expected = format!("{kind}=0,0 to {},{}", counts[0] - 1, counts[1] - 1);
             return Err(PatternError { expected, found: format!("{},{}", at[0], at[1]) });
         }
-        let Some(emission) = &mut stack.emission else { return Ok(()) };
+        Ok(())
+    }
+
+    /// For the test patterns of a backlight, lights only the chosen lenslet or angular bin. Other
+    /// test patterns leave the emission unchanged.
+    fn set_emission(self, display: &Display, stack: &mut LayerStack) -> Result<(), PatternError> {
+        self.check(display)?;
+        if !matches!(self, Self::Lenslet(_) | Self::View(_)) {
+            return Ok(());
+        }
+        let (Backlight::Lenslets(backlight), Some(emission)) = (&display.backlight, &mut stack.emission) else {
+            return Ok(());
+        };
         emission.data_mut().fill(0.0);
         let ([bins_x, bins_y], [cols, rows]) = (backlight.views, backlight.lenslets);
-        let lit = |bin: [usize; 2], lenslet: [usize; 2]| if kind == "lenslet" { lenslet == at } else { bin == at };
+        let lit = |bin: [usize; 2], lenslet: [usize; 2]| self == Self::Lenslet(lenslet) || self == Self::View(bin);
         for (y, x) in (0..bins_y).flat_map(|y| (0..bins_x).map(move |x| (y, x))) {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
                 if lit([x, y], [col, row]) {

@@ -212,7 +212,9 @@ fn refused(name: &str, expected: impl std::fmt::Display, found: impl std::fmt::D
 /// not replace this content. Returns `None` if the parameters select neither.
 fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, PluginError> {
     if !params.pattern.is_empty() {
-        let pattern = params.pattern.parse::<Pattern>().map_err(|error| PluginError::Refused(error.to_string()))?;
+        let pattern: Result<Pattern, _> = params.pattern.parse();
+        let checked = pattern.and_then(|pattern| pattern.check(display).map(|()| pattern));
+        let pattern = checked.map_err(|error| PluginError::Refused(error.to_string()))?;
         // Read the test pattern, the panel that alone shows it, and the eye for which it is drawn.
         // The eye must be in front of the layers.
         let all = Shows::all(display);

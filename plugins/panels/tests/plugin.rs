@@ -2,7 +2,7 @@
 //! accepts, and the inputs that it refuses before the presentation.
 
 use lumistack_plugin::PluginError;
-use lumistack_plugin::display::Display;
+use lumistack_plugin::display::{Backlight, Display, LensletBacklight};
 use lumistack_plugin::serde_json::{Value, json};
 use lumistack_plugin_panels::PLUGIN;
 use lumistack_plugin_testkit::serve::{Output, Plugin};
@@ -41,8 +41,21 @@ fn parameters_that_do_not_go_with_the_display_are_refused() {
     }
     let expected = "`eye_z_mm`: expected a distance in front of all layers, above 10 mm, found 5";
     refused(json!({"pattern": "crosshairs", "eye_z_mm": 5.0}), expected);
+    refused(json!({"pattern": "view=0,0"}), "pattern: expected a display with a lenslet backlight for `view`");
     refused(json!({"picture": "no such file"}), "`picture`: no such file");
     refused(json!({"picture": "x", "layer": 3}), "`layer`: expected -1 to 2");
+}
+
+#[test]
+fn a_lenslet_outside_of_the_array_is_refused() {
+    let mut display = Display::uniform([8, 6], 1.0, [3, 2], [40.0, 40.0], &[0.0], 1);
+    display.backlight = Backlight::Lenslets(LensletBacklight::new(-6.0, [4, 3], 2.0, [3, 2], [40.0, 40.0]));
+    for pattern in ["lenslet=3,2", "view=2,1"] {
+        assert_eq!(opened(&json!({"pattern": pattern}), &display), Ok(()));
+    }
+    let error = |pattern: &str| opened(&json!({"pattern": pattern}), &display).unwrap_err();
+    assert_eq!(error("lenslet=99,0"), "pattern: expected lenslet=0,0 to 3,2, found 99,0");
+    assert_eq!(error("view=0,2"), "pattern: expected view=0,0 to 2,1, found 0,2");
 }
 
 #[test]

@@ -9,7 +9,7 @@
 //! Pictures are 8-bit sRGB without alpha. The second time step of a sequence is `NAME_f0001_qs…`,
 //! the third `NAME_f0002_qs…`, and so on. With the parameter `sequence` the first time step is
 //! `NAME_f0000_qs…`, so that video encoders can read all files. Memory holds at most one quilt, one
-//! view and one native picture.
+//! native picture and a few views.
 
 pub mod devices;
 pub mod layout;
@@ -125,9 +125,9 @@ impl OutputPlugin for Quilt {
                 [(CUSTOM, "No device: tiles have the views' own pixels.")].into_iter().chain(known),
                 "Device whose default quilt is written; the parameters columns, rows, width, height and aspect override its values.",
             ),
-            Param::int("columns", 0, 0..=100, "Number of columns of views. 0 uses the device's number, or without a device the number with which the quilt is nearest to a square.")
+            Param::int("columns", 0, 0..=100, "Number of columns of views. 0, which requires rows = 0, uses the device's number, or without a device the number with which the quilt is nearest to a square.")
                 .unit("views"),
-            Param::int("rows", 0, 0..=100, "Number of rows of views. 0 uses the device's number, or without a device the number with which the quilt is nearest to a square.").unit("views"),
+            Param::int("rows", 0, 0..=100, "Number of rows of views. 0, which requires columns = 0, uses the device's number, or without a device the number with which the quilt is nearest to a square.").unit("views"),
             Param::int(
                 "width",
                 0,

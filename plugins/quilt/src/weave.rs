@@ -113,7 +113,7 @@ impl Calibration {
             0.0 => 1,
             1.0 | 2.0 | 4.0 => 2,
             3.0 => 4,
-            _ => return Err(wrong("CellPatternMode", "0 to 4")),
+            _ => return Err(wrong("CellPatternMode", "a whole number from 0 to 4")),
         };
         if !cells.is_empty() && cells.len() < least {
             let expected = format!("at least {least} cells, as CellPatternMode {mode} needs");
@@ -217,7 +217,7 @@ mod tests {
             ("slope", json!(0), "slope: expected a number other than 0"),
             ("screenW", json!(10.5), "screenW: expected a whole number from 1 to 32768"),
             ("subpixelCells", json!([{"ROffsetX": 0.1}]), "subpixelCells: expected cells of ROffsetX"),
-            ("CellPatternMode", json!({"value": 7}), "CellPatternMode: expected 0 to 4"),
+            ("CellPatternMode", json!({"value": 7}), "CellPatternMode: expected a whole number from 0 to 4"),
         ] {
             let mut bad = plain();
             bad[key] = value;

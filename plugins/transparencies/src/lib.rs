@@ -245,7 +245,7 @@ impl Transparencies {
         if too_dark > 0 {
             let darkest = self.film.dark.iter().copied().fold(0.0, f64::max);
             self.host.warn(&format!(
-                "some mask values are below the film's least transmittance, {darkest:.3} of clear film (number of these values: {too_dark}). Patterns that are solved with black_level = {darkest:.3} in all layers of the display have no value below {darkest:.3}"
+                "some mask values are below the film's least transmittance, {darkest:.3} of clear film (number of these values: {too_dark}). Patterns that are solved with black_level = {darkest:.3} in all layers of the display have no such values"
             ));
         }
         let out = document.finish().map_err(pdf::failed)?;

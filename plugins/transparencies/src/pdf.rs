@@ -256,8 +256,8 @@ impl Page {
         self.content.rect(points(x), points(y), points(width), points(height)).stroke();
     }
 
-    /// Writes text that starts at a point; `height` is the size of the letters in mm. Letters that
-    /// the font lacks become `?`.
+    /// Writes text that starts at a point; `height` is the size of the letters in mm. Minus signs
+    /// and en dashes become `-`, and all other characters outside Latin-1 become `?`.
     pub fn text(&mut self, [x, y]: [f64; 2], height: f64, text: &str) {
         let latin: Vec<u8> = text
             .chars()

@@ -16,8 +16,8 @@ use lumistack_plugin_testkit::MemoryHost;
 use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_web_simulator::PLUGIN;
 
-/// Brightness of every case. The front layer transmits at most this fraction, so L̃/β is never
-/// above 1. So no value is clipped, and every error is visible.
+/// Brightness of every case. The front layer transmits at most this fraction, so L̃/β is at most 1
+/// for rays that hit this layer. So hardly any value is clipped, and most errors are visible.
 const BRIGHTNESS: f64 = 0.8;
 /// [columns, rows] of every case.
 const SIZE: [usize; 2] = [60, 40];

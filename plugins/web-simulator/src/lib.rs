@@ -79,7 +79,7 @@ impl OutputPlugin for WebSimulator {
                 "",
                 "Title of the page. A job without this parameter uses the job's name. If a job sets an empty title, the page shows the display's name. A title in the form of a file's name is converted to words.",
             ),
-            Param::text("caption", "", "One sentence below the title; empty for a sentence about the display."),
+            Param::text("caption", "", "Text below the title; empty for two sentences about the scene and display."),
             Param::text(
                 "address",
                 "",
@@ -115,7 +115,7 @@ impl OutputPlugin for WebSimulator {
             if params.caption.is_empty() { words::caption_of(&title, display) } else { params.caption.clone() };
         let poster = Poster::new(stack)?;
         let about = About { title: &title, caption: &caption, address: &params.address, poster: &poster };
-        let most_bytes = params.single_file.then_some((params.single_file_mb * 1e6) as usize);
+        let most_bytes = params.single_file.then_some((params.single_file_mb * 1e6).round() as usize);
         let mut site = Site::new(&self.host, folder, &about, most_bytes)?;
         let mut files = Vec::new();
         // Choose the views of the target.

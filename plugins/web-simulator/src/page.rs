@@ -30,7 +30,8 @@ const HEAD: [&str; 2] = ["<title>", "<!--/about-->"];
 const POSTER_PLACE: &str = "<!--poster-->";
 /// Marks around the part of the page about the folder, which is removed from the single file.
 const FOLDER: [&str; 2] = ["<!--folder-->", "<!--/folder-->\n"];
-/// Marks around the part of the page about the single file, which is removed if none is written.
+/// Marks around the part of the page about the single file. The part is removed from the single
+/// file itself, and from the page if there is no single file.
 const SINGLE: [&str; 2] = ["<!--single-->", "<!--/single-->"];
 /// Number of bytes that are encoded together. It is a multiple of 3, so that the encoded pieces
 /// together are the encoding of the whole file.
@@ -52,7 +53,7 @@ struct SingleFile {
     length: usize,
     /// Largest allowed number of bytes.
     most: usize,
-    /// The part of the page after its script.
+    /// The part of the page after the files: its script, and the text after the script.
     end: String,
 }
 
@@ -92,7 +93,7 @@ impl<'a> Site<'a> {
             return Ok(());
         }
         // Drop the open single file, which removes it.
-        let most = single.most / 1_000_000;
+        let most = single.most as f64 / 1e6;
         self.single = None;
         let text = format!(
             "preview.html was left out, since the file would have more than {most} MB (single_file_mb). `lumistack preview` on the output's folder shows the page."
@@ -121,19 +122,19 @@ impl<'a> Site<'a> {
         Ok(entry)
     }
 
-    /// Writes the page and preview.json.
-    pub(crate) fn finish(self, preview_json: &str) -> Result<(), PluginError> {
+    /// Writes preview.json and the page.
+    pub(crate) fn finish(mut self, preview_json: &str) -> Result<(), PluginError> {
+        self.file(PREVIEW_JSON, preview_json.as_bytes())?;
         let index = if self.single.is_some() { self.index.clone() } else { cut(&self.index, SINGLE, "")? };
         let own = [
             ("index.html", index.as_bytes()),
             ("app/viewer.js", SCRIPT.as_bytes()),
             ("app/lumistack_web_bg.wasm", MODULE),
-            (PREVIEW_JSON, preview_json.as_bytes()),
         ];
         for (path, bytes) in own.into_iter().chain(OTHERS.map(|(path, script)| (path, script.as_bytes()))) {
             self.host.write(&format!("{}{path}", self.folder), bytes)?;
         }
-        self.single.map_or(Ok(()), |single| single.finish(preview_json))
+        self.single.map_or(Ok(()), SingleFile::finish)
     }
 }
 
@@ -145,7 +146,8 @@ impl SingleFile {
             return Err(PluginError::Failed(text.into()));
         };
         let file = host.create(&format!("{folder}preview.html"))?;
-        let mut single = Self { file, length: 0, most, end: end.into() };
+        let end = format!("}};</script><script type=\"module\">{SCRIPT}</script>{end}");
+        let mut single = Self { file, length: 0, most, end };
         single.text(&format!("{start}<script>window.LUMISTACK_INLINE={{"))?;
         single.entry("wasm", MODULE)?;
         Ok(single)
@@ -153,7 +155,9 @@ impl SingleFile {
 
     /// Appends a file of the site; returns false if the single file would be too large.
     fn add(&mut self, path: &str, bytes: &[u8]) -> Result<bool, PluginError> {
-        if self.length + bytes.len().div_ceil(3) * 4 > self.most {
+        // A comma, two pairs of quotes and a colon surround the path and the bytes as base64.
+        let added = path.len() + bytes.len().div_ceil(3) * 4 + 6;
+        if self.length + added + self.end.len() > self.most {
             return Ok(false);
         }
         self.text(",")?;
@@ -171,12 +175,8 @@ impl SingleFile {
         self.text("\"")
     }
 
-    fn finish(mut self, preview_json: &str) -> Result<(), PluginError> {
-        self.text(",")?;
-        self.entry(PREVIEW_JSON, preview_json.as_bytes())?;
-        self.text("};</script><script type=\"module\">")?;
-        self.text(SCRIPT)?;
-        let end = format!("</script>{}", self.end);
+    fn finish(mut self) -> Result<(), PluginError> {
+        let end = std::mem::take(&mut self.end);
         self.text(&end)?;
         self.file.commit()
     }
@@ -188,8 +188,8 @@ impl SingleFile {
 }
 
 impl About<'_> {
-    /// Returns the page's HTML. If `single`, the HTML contains the poster, and refers to no other
-    /// file and no address.
+    /// Returns the page's HTML. If `single`, the HTML contains the poster, and refers only to the
+    /// script and preview.json, which the single file will contain.
     fn page(&self, single: bool) -> Result<String, PluginError> {
         let Poster { jpeg, rows, cols } = self.poster;
         let source = if single { format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)) } else { POSTER.into() };
@@ -236,7 +236,7 @@ fn cut(page: &str, [from, to]: [&str; 2], text: &str) -> Result<String, PluginEr
     Ok(format!("{}{text}{}", &page[..start], &page[end..]))
 }
 
-/// Escapes text for HTML, also for use within quotes.
+/// Escapes text for HTML, also for use within double quotes.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

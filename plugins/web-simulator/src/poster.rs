@@ -42,7 +42,7 @@ impl Poster {
     /// adapted eye sees them.
     ///
     /// # Errors
-    /// If the host cannot simulate.
+    /// If the host cannot simulate, or the picture cannot be encoded as JPEG.
     pub(crate) fn new(stack: &StackInput<'_>) -> Result<Self, PluginError> {
         let picture = seen(stack, [0.0; 2], POSTER_PX)?;
         let jpeg = jpeg_of(&picture, POSTER_BYTES)?;
@@ -54,7 +54,7 @@ impl Poster {
 /// and topmost view at the top left. Also returns the entry for preview.json.
 ///
 /// # Errors
-/// If the host cannot simulate.
+/// If the host cannot simulate, or the picture cannot be encoded as JPEG.
 pub(crate) fn around(stack: &StackInput<'_>, fov_deg: [f64; 2]) -> Result<(Vec<u8>, Value), PluginError> {
     let views = stack.target().grid.views();
     // An axis with a single view has no viewing zone, so its small views have slope 0.
@@ -94,8 +94,8 @@ fn seen(stack: &StackInput<'_>, [x, y]: [f64; 2], most: usize) -> Result<Picture
     Ok(reduced(&plane.values(), stack.target(), most, (1.0 / stack.brightness()) as f32))
 }
 
-/// Averages values over boxes of whole pixels, multiplies them by `scale`, and encodes them as
-/// sRGB.
+/// Multiplies values by `scale`, clips them at 1, averages them over boxes of whole pixels, and
+/// encodes the means as sRGB.
 fn reduced(linear: &[f32], geometry: &FieldGeometry, most: usize, scale: f32) -> Picture {
     let (rows, cols) = (geometry.rows, geometry.cols);
     let step = rows.max(cols).div_ceil(most);

@@ -13,7 +13,7 @@ pub(crate) fn title_of(name: &str) -> String {
     words[..1].to_uppercase() + &words[1..]
 }
 
-/// Returns one sentence that describes the display and the scene.
+/// Returns two sentences that describe the scene and the display.
 pub(crate) fn caption_of(title: &str, display: &Display) -> String {
     let plural = |count: usize, one: &str| match count {
         1 => format!("one {one}"),

@@ -206,6 +206,19 @@ fn a_large_stack_can_be_viewed_before_it_is_loaded() {
     assert!(
         host.messages().iter().any(|(_, text)| text.contains("preview.html was left out") && text.contains("2 MB"))
     );
+    // The limit counts the whole file.
+    let size = |mb: f64| {
+        let host = MemoryHost::new();
+        let output = Output::open(&plugin, &host, &json!({ "single_file_mb": mb }), &display).unwrap();
+        output.submit(Time::default(), OutputData::LayerStack(&stack, None)).unwrap();
+        output.finish().unwrap();
+        let messages: Vec<String> = host.messages().into_iter().map(|(_, text)| text).collect();
+        (host.files().get("preview.html").map(Vec::len), messages.into_iter().find(|text| text.contains("left out")))
+    };
+    let (Some(whole), None) = size(30.0) else { panic!("preview.html was left out") };
+    assert_eq!(size(whole as f64 / 1e6), (Some(whole), None));
+    let less = (whole - 1) as f64 / 1e6;
+    assert!(matches!(size(less), (None, Some(text)) if text.contains(&format!("more than {less} MB"))));
     // The site of a small stack must have no small views.
     let display = Display::uniform([6, 5], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 3.0], 2);
     let files = write(&display, OutputData::LayerStack(&LayerStack::filled(&display, 0.5), None), json!({}));

@@ -40,8 +40,7 @@ async function solve(get: () => Promise<Input | undefined>): Promise<void> {
     document.title = `${found.title} – Lumistack`;
     performance.mark("lumistack-solve");
     // `input` keeps the files, so that a new thread can read them if the current thread ends.
-    solver.ask(request(found));
-    buttons(true);
+    begin(request(found));
   } catch (error) {
     if (own === load) refuse(problemOf(error, ""));
   }
@@ -51,6 +50,13 @@ function request({ files, path, title, isField }: Input): SolverRequest {
   return { kind: "solve", files, path, title, isField, settings: choice.settings };
 }
 
+/** Begins new work. The thread then has no patterns until it sends the first patterns of this work. */
+function begin(work: SolverRequest): void {
+  saveable(false);
+  solver.ask(work);
+  buttons(true);
+}
+
 function displayChanged(): void {
   clearTimeout(settling);
   settling = setTimeout(async () => {
@@ -58,8 +64,7 @@ function displayChanged(): void {
     paused = false;
     const present = solver.runs;
     await solver.start();
-    solver.ask(present ? { kind: "change", settings: choice.settings } : request(input));
-    buttons(true);
+    begin(present ? { kind: "change", settings: choice.settings } : request(input));
   }, SETTLE_MS);
 }
 
@@ -73,8 +78,11 @@ function receive(what: SolverMessage): void {
       next = what;
       return void show();
     case "zip":
-      return download(new Blob([what.bytes], { type: "application/zip" }), `${input?.title ?? "patterns"}.zip`);
+      at("saved").hidden = false;
+      return download(new Blob([what.bytes], { type: "application/zip" }), `${what.title}.zip`);
     case "error":
+      // The thread has ended, and its patterns with it.
+      saveable(false);
       return refuse(new Problem(what.message, "", false));
   }
 }
@@ -91,6 +99,7 @@ async function show(): Promise<void> {
       at("empty").hidden = true;
       await viewer.showStack(stack.json, stack.codes);
       tell(JSON.parse(stack.json) as { title: string; caption: string });
+      saveable(solver.runs);
       // Wait until the picture is drawn, since this performance mark states when it became visible.
       await viewer.ready;
       if (performance.getEntriesByName("lumistack-first-patterns").length === 0) performance.mark("lumistack-first-patterns");
@@ -127,7 +136,7 @@ function showState({ stage: now, share, psnr, warnings, onDevice, threads }: Sta
   say(`${rest}${quality} ${onDevice ? "On the graphics processor" : `On the processor${reason}`}.`);
   document.documentElement.dataset.psnr = String(psnr);
   markStage();
-  for (const id of ["save", "closer", "quilt", "turn"]) at<HTMLButtonElement>(id).disabled = Number.isNaN(psnr) || saving;
+  for (const id of ["closer", "quilt", "turn"]) at<HTMLButtonElement>(id).disabled = Number.isNaN(psnr) || saving;
   if (stage === "done") {
     performance.mark("lumistack-done");
     buttons(false);
@@ -148,6 +157,11 @@ function refuse({ message, advice }: Problem): void {
   at("problem").hidden = false;
   at("problem").textContent = [message, advice].filter(Boolean).join(" ");
   buttons(false);
+}
+
+/** Enables or disables the button that saves patterns. It is enabled while the viewer shows the thread's patterns. */
+function saveable(is: boolean): void {
+  at<HTMLButtonElement>("save").disabled = !is;
 }
 
 /** Sets the button that stops and continues the work. `working` is false after the end of the work. */
@@ -186,6 +200,7 @@ async function open(files: ReadonlyMap<string, File>): Promise<void> {
     if (found) return found;
     if (!isPreview) throw nothing(files);
     // A preview already contains patterns, so the viewer shows it without the solver.
+    saveable(false);
     at("empty").hidden = at("caption").hidden = true;
     at("drop").classList.remove("idle");
     say("The dropped folder is a preview, which already contains patterns.");
@@ -217,10 +232,7 @@ at("pause").addEventListener("click", () => {
   solver.ask({ kind: paused ? "pause" : "resume" });
   buttons(true);
 });
-at("save").addEventListener("click", () => {
-  solver.ask({ kind: "zip" });
-  at("saved").hidden = false;
-});
+at("save").addEventListener("click", () => solver.ask({ kind: "zip" }));
 at("quilt").addEventListener("click", () => void save("quilt", () => viewer.saveQuilt()));
 at("turn").addEventListener("click", () => void save("turn", () => viewer.saveTurn()));
 at("turn").hidden = videoFormat() === undefined;

@@ -32,7 +32,7 @@ export type SolverMessage =
   | { kind: "presets"; json: string }
   | { kind: "state"; state: State }
   | { kind: "stack"; json: string; codes: Uint8Array<ArrayBuffer> }
-  | { kind: "zip"; bytes: Uint8Array<ArrayBuffer> }
+  | { kind: "zip"; title: string; bytes: Uint8Array<ArrayBuffer> }
   | { kind: "error"; message: string };
 
 /** Address of the folder of the WebAssembly modules. */
@@ -298,8 +298,10 @@ onmessage = ({ data }: MessageEvent<SolverRequest | PoolRequest>) =>
         paused = false;
         return solver ? run() : undefined;
       case "zip": {
-        const bytes = solver!.zip() as Uint8Array<ArrayBuffer>;
-        return send({ kind: "zip", bytes }, [bytes.buffer]);
+        // The request may arrive after a new solve began, which has no patterns yet.
+        if (!solver || Number.isNaN(solver.psnr())) return;
+        const bytes = solver.zip() as Uint8Array<ArrayBuffer>;
+        return send({ kind: "zip", title, bytes }, [bytes.buffer]);
       }
       // A pool sends these messages only to its own threads, so this thread belongs to a pool.
       case "copy": {

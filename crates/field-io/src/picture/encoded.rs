@@ -13,10 +13,18 @@ use crate::FieldError;
 const JPEG_TAIL: u64 = 1 << 16;
 /// Largest memory that a decoder may take, bytes.
 const DECODER_BYTES: u64 = 3 << 30;
+/// Largest memory that a pixel takes while its picture is read: 8 bytes of decoded samples (four of
+/// 16 bits), 12 of linear light, and 4 of a decoder.
+const BYTES_PER_PIXEL: u64 = 24;
 
 pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     let (cols, rows) = reader(path)?.into_dimensions().map_err(|error| damaged(path, &error))?;
     checked(path, [cols as usize, rows as usize])
+}
+
+/// Returns an upper bound of the memory that [`read`] takes, bytes.
+pub(super) fn bytes(path: &Path) -> Result<u64, FieldError> {
+    size(path).map(|[cols, rows]| BYTES_PER_PIXEL * (cols * rows) as u64)
 }
 
 pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
@@ -85,16 +93,12 @@ fn from_decoded(decoded: DynamicImage) -> Picture {
         | DynamicImage::ImageRgb16(_)
         | DynamicImage::ImageRgba16(_)) => {
             if has_alpha {
-                let raw: Vec<f32> = wide.into_rgba16().into_raw().into_iter().map(f32::from).collect();
-                Samples::Linear(over_black(&raw, decode_over(65535.0), 65535.0))
+                Samples::Linear(over_black(wide.into_rgba16().as_raw(), decode_over(65535.0), 65535.0))
             } else {
                 Samples::Srgb16(wide.into_rgb16().into_raw())
             }
         }
-        narrow if has_alpha => {
-            let raw: Vec<f32> = narrow.into_rgba8().into_raw().into_iter().map(f32::from).collect();
-            Samples::Linear(over_black(&raw, decode_over(255.0), 255.0))
-        }
+        narrow if has_alpha => Samples::Linear(over_black(narrow.into_rgba8().as_raw(), decode_over(255.0), 255.0)),
         narrow => Samples::Srgb8(narrow.into_rgb8().into_raw()),
     };
     Picture { cols, rows, samples }
@@ -114,8 +118,9 @@ fn decode_over(top: f32) -> impl Fn(f32) -> f32 {
     move |code| lumistack_core::colour::srgb_decode(code / top)
 }
 
-fn over_black(rgba: &[f32], decode: impl Fn(f32) -> f32, opaque: f32) -> Vec<f32> {
-    rgba.chunks_exact(4).flat_map(|p| [0, 1, 2].map(|channel| decode(p[channel]) * (p[3] / opaque))).collect()
+fn over_black<T: Copy + Into<f32>>(rgba: &[T], decode: impl Fn(f32) -> f32, opaque: f32) -> Vec<f32> {
+    let colour = |p: &[T]| [0, 1, 2].map(|channel| decode(p[channel].into()) * (p[3].into() / opaque));
+    rgba.chunks_exact(4).flat_map(colour).collect()
 }
 
 #[cfg(test)]

@@ -47,6 +47,15 @@ impl Picture {
         if is_exr(path) { openexr::size(path) } else { encoded::size(path) }
     }
 
+    /// Returns an upper bound of the memory that [`Self::read`] takes, in bytes, including the
+    /// result.
+    ///
+    /// # Errors
+    /// The errors of [`Self::size_of`].
+    pub(crate) fn bytes_of(path: &Path) -> Result<u64, FieldError> {
+        if is_exr(path) { openexr::bytes(path) } else { encoded::bytes(path) }
+    }
+
     /// Returns [columns, rows].
     pub fn size(&self) -> [usize; 2] {
         [self.cols, self.rows]

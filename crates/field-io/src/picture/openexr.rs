@@ -198,9 +198,24 @@ impl MultiView {
     }
 }
 
-/// Reads [columns, rows] of the first layer. Checks that the file is large enough for the pixels
-/// that its header declares.
+/// Reads [columns, rows] of the first layer.
 pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
+    header(path).map(|(size, _)| size)
+}
+
+/// Returns an upper bound of the memory that [`read`] takes, bytes. The decoder keeps all channels
+/// of the layer while the result is made, 12 bytes per pixel. Channels of fewer than 12 bytes count
+/// as 12, since blocks of pixels are also in memory.
+pub(super) fn bytes(path: &Path) -> Result<u64, FieldError> {
+    header(path).map(|([cols, rows], decoded)| {
+        let linear = 12 * (cols * rows) as u64;
+        linear + decoded.max(linear)
+    })
+}
+
+/// Reads [columns, rows] of the first layer, and the number of bytes of its decoded channels.
+/// Checks that the file is large enough for the pixels that its header declares.
+fn header(path: &Path) -> Result<([usize; 2], u64), FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let length = lumistack_files::length(&file).map_err(FieldError::io(path, "read"))?;
     let meta = MetaData::read_from_buffered(BufReader::new(file), false).map_err(|error| damaged(path, &error))?;
@@ -237,7 +252,7 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
         let expected = format!("{} × {} pixels in at least {} bytes", size[0], size[1], bytes.div_ceil(MOST_EXPANSION));
         return Err(FieldError::malformed(path, "content", expected, format!("{length} bytes")));
     }
-    Ok(size)
+    Ok((size, bytes))
 }
 
 pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {

@@ -99,6 +99,12 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     assert!(grid.slope_y.iter().zip([0.0025, -0.0025]).all(|(a, b)| (a - b).abs() < EXACT), "{grid:?}");
     let Projection::Perspective { distance_mm } = grid.projection else { panic!("{grid:?}") };
     assert!((distance_mm - 1000.0).abs() < 1e-9);
+    // a picture of a seventh camera is not read, and a warning names it
+    labelled(&folder.path().join("input_Cam006.png"), [0, 0]);
+    let (field, warnings) = open(folder.path(), &GeometryFlags::default(), &defaults());
+    assert_eq!(label(&field.unwrap(), [1, 2]), [2, 1]);
+    let expected = "expected 3 × 2 cameras, as in parameters.cfg, found more; further pictures are not read (number: 1; first: input_Cam006.png)";
+    assert!(warnings.iter().any(|w| w.ends_with(expected)), "{warnings:?}");
 }
 
 #[test]

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use crate::common::{defaults, open, random_field, save_png};
 use lumistack_display::{Display, LayerStack, Projection, ProjectionKind};
-use lumistack_field_io::picture::{Picture, Precision, write_exr};
+use lumistack_field_io::picture::{Picture, Precision, write_exr, write_exr_channels};
 use lumistack_field_io::{
-    GeometryDefaults, GeometryFlags, npy, read_field_folder, read_stack, write_field, write_stack,
+    GeometryDefaults, GeometryFlags, npy, picture_bytes, read_field_folder, read_stack, write_field, write_stack,
 };
 use serde_json::Map;
 
@@ -171,6 +171,19 @@ fn pictures_do_not_claim_more_pixels_than_they_can_hold() {
     fs::write(&path, bytes).unwrap();
     let error = Picture::read(&path).unwrap_err().to_string();
     assert!(error.contains("80000001 × 3 pixels in at least "), "{error}");
+}
+
+#[test]
+fn the_memory_of_a_picture_includes_all_its_channels() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.exr");
+    let names = ["R", "G", "B", "A", "Z", "N.X", "N.Y", "N.Z"];
+    let values = [0.5; 12];
+    write_exr_channels(&path, [4, 3], &names.map(|name| (name, &values[..]))).unwrap();
+    // eight channels of floats, and the linear picture
+    assert_eq!(picture_bytes(&path), 12 * (8 * 4 + 12));
+    write_exr(&path, [4, 3], &[0.5; 36], Precision::Half).unwrap();
+    assert_eq!(picture_bytes(&path), 12 * 24);
 }
 
 #[test]

@@ -175,6 +175,12 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     assert!(warnings.iter().any(|text| text.contains("the prefilter changes nothing")), "{warnings:?}");
     let error = open(folder.path(), &flags, &defaults()).0.unwrap_err().to_string();
     assert!(error.contains("--prefilter: expected a display"), "{error}");
+    // the middle view row is a part of all three means, but its values are reported once
+    let mut negative = field;
+    negative.view_mut([1, 2])[0] = -0.25;
+    write_field(folder.path(), &negative, &Map::new()).unwrap();
+    let (_, warnings) = open_for(folder.path(), &flags, [3.0 * bin_x, 2.0 * bin_y]);
+    assert!(warnings.iter().any(|text| text.contains("number of these values: 1;")), "{warnings:?}");
 }
 
 /// The views between the kept views have the same slopes as in the whole light field. Each occurs

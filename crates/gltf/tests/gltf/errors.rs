@@ -93,6 +93,14 @@ fn crc32(bytes: &[u8]) -> u32 {
 }
 
 #[test]
+fn a_glb_shorter_than_its_header() {
+    let mut file = Builder::triangle().glb();
+    file[8..12].copy_from_slice(&11u32.to_le_bytes());
+    let expected = "test.gltf: byte 8: expected a length of at least 12 bytes, the size of the header, found 11";
+    assert_eq!(load(&file).0.unwrap_err().to_string(), expected);
+}
+
+#[test]
 fn accessors_that_reach_past_their_bytes() {
     let b = triangle_with(|b| _ = b.set("/accessors/0/count", json!(4)));
     assert_error(

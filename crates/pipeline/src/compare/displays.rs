@@ -117,7 +117,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
             let (rgb, counts) = seen(&simulator, made.stack.brightness, geometry, view);
             let mut own = Sums::new();
             own.add(target.view(view), &rgb, shape, &counts);
-            let caption = own.likeness().psnr_db.map_or("exact".into(), |psnr| format!("{psnr:.1} dB"));
+            let caption = own.psnr_text("");
             cells.push(Cell { caption, rgb: codes(&mut rgb.iter().copied()) });
             task.progress.advance(1, "");
         }
@@ -128,10 +128,9 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
         let layers = format!("{}{lenses}", plural(made.display.layers.len(), "layer"));
         let frames = format!("{}, β = {:.2}", plural(made.display.frames, "frame"), made.stack.brightness);
         let zone = zone_of(&folder);
-        let psnr = match (zone, likeness.psnr_db) {
-            (Some(zone), _) => format!("{:.1} dB over the viewing zone", zone.psnr_db),
-            (None, Some(psnr)) => format!("{psnr:.1} dB at the target's views"),
-            (None, None) => "exact".into(),
+        let psnr = match zone {
+            Some(zone) => format!("{:.1} dB over the viewing zone", zone.psnr_db),
+            None => sums.psnr_text(" at the target's views"),
         };
         displays.push(DisplayLikeness {
             id: node.id.clone(),

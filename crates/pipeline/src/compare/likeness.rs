@@ -122,6 +122,16 @@ impl Sums {
         self.flip = self.flip.merged(other.flip);
     }
 
+    /// Returns the PSNR as text, with `place` after a number. The text is `exact` if the compared
+    /// pixels are equal, and `not compared` if no pixel is compared.
+    pub(super) fn psnr_text(&self, place: &str) -> String {
+        match self.error.psnr() {
+            psnr if psnr.is_nan() => "not compared".into(),
+            psnr if psnr.is_infinite() => "exact".into(),
+            psnr => format!("{psnr:.1} dB{place}"),
+        }
+    }
+
     pub(super) fn likeness(&self) -> Likeness {
         let psnr = self.error.psnr();
         Likeness { psnr_db: psnr.is_finite().then_some(psnr), ssim: self.ssim.value(), flip: self.flip.value() }
@@ -168,6 +178,19 @@ pub(super) fn save(path: &Path, panes: Vec<Vec<f32>>, [rows, cols]: [usize; 2]) 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_compared_pixels_can_be_exact() {
+        let picture = [0.5f32, 0.25, 1.0].repeat(256);
+        let text = |test: &[f32], valid: bool| {
+            let mut sums = Sums::new();
+            sums.add(&picture, test, [16, 16], &[valid; 256]);
+            sums.psnr_text(" here")
+        };
+        assert_eq!(text(&picture, true), "exact");
+        assert_eq!(text(&picture, false), "not compared");
+        assert_eq!(text(&picture.iter().map(|value| value - 0.1).collect::<Vec<_>>(), true), "20.0 dB here");
+    }
 
     /// A node finds the target of its run two folders above. For other folders, a folder `target`
     /// two levels above must not be read. The test damages the target's index, so an error shows

@@ -121,9 +121,12 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     plan.disk_bytes = disk::together(plan.steps.iter().map(of_step));
     for (index, key) in keys.into_iter().enumerate() {
         let record = records.get(&plan.steps[index].id);
-        // Without a record, the result is not cached. Without a key, only a run can find out if the
-        // result is current.
+        // The name of a design's file depends on the content of the light field. So only a sweep
+        // can find out if an earlier sweep solved the design. Without a record, any other result is
+        // not cached. Without a key, only a run can find out if the result is current.
+        let is_design = matches!(plan.steps[index].kind, StepKind::Design(_) | StepKind::Search);
         let cached = match (&key, record) {
+            _ if is_design && plan.folder.join("designs").is_dir() => None,
             (_, None) => Some(false),
             (None, Some(_)) => None,
             (Some(key), Some(record)) => Some(record.key.as_ref() == Some(key) && is_there(plan, index)),
@@ -208,14 +211,15 @@ fn add_content(
         StepKind::Read => add_files(key, job.light_field.as_deref()?),
         StepKind::Source => plugin(&job.source.as_ref()?.plugin, &job.source.as_ref()?.params),
         StepKind::Patterns => {
-            let node = plan.node(part).filter(|node| !is_factorized(Some(node)));
-            match node {
-                Some(node) => plugin(&node.plugin, &node.params),
-                None => [&job.factorize.weights, &job.factorize.warm_start]
-                    .into_iter()
-                    .flatten()
-                    .try_for_each(|path| add_files(key, path)),
-            }
+            // The solver and node plugins have weights, but only the solver has a warm start.
+            let warm_start = match plan.node(part).filter(|node| !is_factorized(Some(node))) {
+                Some(node) => {
+                    plugin(&node.plugin, &node.params)?;
+                    None
+                }
+                None => job.factorize.warm_start.as_ref(),
+            };
+            job.factorize.weights.iter().chain(warm_start).try_for_each(|path| add_files(key, path))
         }
         StepKind::FieldOutput(number) | StepKind::StackOutput(number) => {
             let output = &job.outputs[number];
@@ -250,8 +254,9 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     let job = &plan.parts[step.part].job;
     let exists = |names: &[&str]| names.iter().all(|name| dir.join(name).exists());
     match step.kind {
-        // Every run makes the results of these steps again, so they are never cached.
-        StepKind::Ingest | StepKind::Place | StepKind::Read => false,
+        // Every run makes the results of the first three kinds again, so they are never cached. A
+        // design whose folder does not exist is not cached either.
+        StepKind::Ingest | StepKind::Place | StepKind::Read | StepKind::Design(_) | StepKind::Search => false,
         StepKind::Trace | StepKind::Denoise | StepKind::Score => exists(&["cache/views"]),
         StepKind::Expose | StepKind::Source => stamps.is_whole("target"),
         StepKind::Patterns => stamps.is_whole(step.stage),
@@ -263,7 +268,6 @@ fn is_there(plan: &Plan, index: usize) -> bool {
             PartKind::Time(_) => stamps.is_whole("report"),
             _ => false,
         },
-        StepKind::Design(_) | StepKind::Search => exists(&["sweep.json"]),
     }
 }
 
@@ -617,6 +621,7 @@ mod tests {
     use lumistack_core::config;
 
     use super::*;
+    use crate::plan::graph::job_of;
 
     #[test]
     fn the_work_of_tracing_depends_on_further_and_sparse_paths() {
@@ -635,5 +640,25 @@ mod tests {
         // Automatic views have sparse paths.
         assert!((of("", "shared") / of("", "off") - SPARSE_TIMES).abs() < 1e-9);
         assert!(plain > 0.0);
+    }
+
+    #[test]
+    fn the_key_of_a_node_plugin_depends_on_the_content_of_its_weights() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("w.npy");
+        let text = "scene = \"a.glb\"\n[display]\npreset = \"paper-three-layer\"\n[[nodes]]\nid = \"a\"\nplugin = \"parallax_barrier\"\n";
+        let mut job = config::parse::<Job>(text).ok().unwrap();
+        job.factorize.weights = Some(path.clone());
+        let mut plan = Plan::new(&job, folder.path());
+        let around = plan.add_part(PathBuf::new(), PartKind::Run, job.clone(), None);
+        let part = plan.add_part("nodes/a".into(), PartKind::Node(0), job_of(&job, &job.nodes[0]), Some(around));
+        plan.add_step(part, StepKind::Patterns, Vec::new());
+        let registry = Registry::built_in().unwrap();
+        let key = |content: &str| {
+            std::fs::write(&path, content).unwrap();
+            keys(&plan, &Records::new(), &registry)[0].clone().unwrap()
+        };
+        assert_eq!(key("1"), key("1"));
+        assert_ne!(key("1"), key("2"));
     }
 }

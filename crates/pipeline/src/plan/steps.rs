@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::times::Times;
-use crate::job::{Job, NodeJob};
+use crate::job::{Job, NodeJob, SweepJob};
 use crate::stage::node::is_factorized;
 use crate::stage::output::stage_name;
 use crate::stage::{self, StageInfo};
@@ -45,7 +45,7 @@ pub struct Step {
     /// Ids of the steps whose results this step reads.
     pub inputs: Vec<String>,
     /// Files and folders that this step writes, relative to its folder.
-    pub writes: &'static [&'static str],
+    pub writes: Vec<String>,
     /// Hash of everything that the result depends on: equal keys give equal results. `None` if an
     /// input is not known yet or cannot be read. For example, only a run finds the scene's files.
     pub key: Option<String>,
@@ -133,8 +133,7 @@ impl Plan {
     /// Adds a step, whose inputs the plan must already have. Returns the id of the step.
     pub(crate) fn add_step(&mut self, part: usize, kind: StepKind, inputs: Vec<String>) -> String {
         let Part { folder, job, .. } = &self.parts[part];
-        let info = self.stage_of(part, kind);
-        let (stage, writes) = (info.name, info.writes);
+        let (stage, writes) = (self.stage_of(part, kind).name, self.writes_of(part, kind));
         let name = match kind {
             StepKind::FieldOutput(i) | StepKind::StackOutput(i) => stage_name(&job.outputs[i]),
             StepKind::Design(i) => format!("design-{:05}", i + 1),
@@ -158,6 +157,22 @@ impl Plan {
             kind,
         });
         id
+    }
+
+    /// Returns the files and folders that a step writes, relative to its folder.
+    fn writes_of(&self, part: usize, kind: StepKind) -> Vec<String> {
+        let of_stage = match (kind, &self.parts[part].kind) {
+            // Outputs of a node are in the folder that contains the node's folder.
+            (StepKind::StackOutput(_), PartKind::Node(_)) => {
+                return self.node(part).map(|node| format!("../../outputs/{}", node.id)).into_iter().collect();
+            }
+            (StepKind::Report, PartKind::Sweep) => match &self.parts[part].job.sweep {
+                Some(SweepJob { search: Some(_), .. }) => stage::SEARCH_FILES,
+                _ => stage::SWEEP_FILES,
+            },
+            _ => self.stage_of(part, kind).writes,
+        };
+        of_stage.iter().map(|name| (*name).to_owned()).collect()
     }
 
     /// Returns the stage of a step.

@@ -197,9 +197,14 @@ impl<'a> Cutter<'a> {
         self.made_by.insert(&step.id, before.into_iter().collect());
     }
 
-    /// Returns the path of a file in a step's folder, with `/` on every system.
-    fn place(&self, step: &Step, name: &str) -> String {
-        let folder = step.folder.to_string_lossy().replace('\\', "/");
+    /// Returns the path of a file that a step writes, relative to the run folder, with `/` on every
+    /// system. `name` is relative to the step's folder, and may begin with `../`.
+    fn place(&self, step: &Step, mut name: &str) -> String {
+        let mut folder = step.folder.as_path();
+        while let (Some(rest), Some(above)) = (name.strip_prefix("../"), folder.parent()) {
+            (name, folder) = (rest, above);
+        }
+        let folder = folder.to_string_lossy().replace('\\', "/");
         if folder.is_empty() { name.to_owned() } else { format!("{folder}/{name}") }
     }
 
@@ -262,7 +267,13 @@ impl<'a> Cutter<'a> {
         let left = self.plan.steps.iter().filter(|step| !self.units.iter().any(|unit| unit.steps.contains(&step.id)));
         let left = left.filter(|step| step.kind != StepKind::Denoise).map(|step| (step.seconds, step.memory_bytes));
         let (seconds, memory_bytes) = left.fold((0.0, 0), |(s, m), (seconds, memory)| (s + seconds, memory.max(m)));
-        let writes = ["job.toml", "report.html", "report.json", "outputs"].map(String::from).to_vec();
+        let of_sweep = self.plan.steps.iter().filter(|step| {
+            matches!(self.plan.parts[step.part].kind, PartKind::Sweep) && !matches!(step.kind, StepKind::Design(_))
+        });
+        let mut writes: Vec<String> = of_sweep.flat_map(|step| step.writes.clone()).collect();
+        if writes.is_empty() {
+            writes = ["job.toml", "report.html", "report.json", "outputs"].map(String::from).to_vec();
+        }
         let (id, steps) = (FINISH.to_owned(), Vec::new());
         self.units.push(Unit {
             id,

@@ -336,7 +336,8 @@ pub(crate) fn denoised(
         let (a, b) = (half(field, middle, 0)?, half(field, middle, 1)?);
         a.data().iter().zip(b.data()).map(|(a, b)| 0.5 * (a + b)).collect()
     };
-    let mut filtered = read_view(&view_path(&folder, middle, None), &field.traced).ok_or_else(missing)?;
+    let path = view_path(&folder, middle, None);
+    let mut filtered = read_view(&path, &field.traced).ok_or_else(PipelineError::replaced(&path, "cached view"))?;
     tone_mapping.apply_to(&mut unbiased);
     tone_mapping.apply_to(&mut filtered);
     Ok(Some(Denoised { kind, figures, unbiased, filtered }))

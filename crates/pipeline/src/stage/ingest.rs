@@ -301,9 +301,9 @@ fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, Pipelin
     let options = lumistack_usd::LoadOptions { time_s, variants };
     // OpenUSD runs in another process, which reports no progress.
     task.progress.begin("open USD", 1, "stage");
-    let loaded = lumistack_usd::load(path, &options, task)?;
-    task.progress.advance(1, "");
+    let loaded = lumistack_usd::load(path, &options, task).inspect(|_| task.progress.advance(1, ""));
     task.progress.end();
+    let loaded = loaded?;
     Ok((loaded.scene, hashed(&loaded.files)?))
 }
 
@@ -383,11 +383,30 @@ const OUTSIDE_ADVICE: &str =
 #[cfg(test)]
 mod tests {
     use glam::{Affine3A, Quat, Vec3};
-    use lumistack_core::{Cancel, Collector};
+    use lumistack_core::{Cancel, Collector, Progress};
     use lumistack_scene::{Image, Instance, Material, Mesh, Pixels, SceneParts};
     use lumistack_shot::light::set_environment;
 
     use super::*;
+
+    #[test]
+    fn a_usd_file_that_cannot_be_read_ends_its_progress() {
+        #[derive(Default)]
+        struct Stages(Mutex<Vec<&'static str>>);
+        impl Progress for Stages {
+            fn begin(&self, _: &str, _: u64, _: &str) {
+                self.0.lock().unwrap().push("begin");
+            }
+            fn advance(&self, _: u64, _: &str) {}
+            fn end(&self) {
+                self.0.lock().unwrap().push("end");
+            }
+        }
+        let (stages, warnings, cancel) = (Stages::default(), Collector::default(), Cancel::default());
+        let task = Task { progress: &stages, ..Task::quiet(&warnings, &cancel) };
+        assert!(load_usd(Path::new("no-such.usda"), &PoseJob::default(), task).is_err());
+        assert_eq!(stages.0.into_inner().unwrap(), ["begin", "end"]);
+    }
 
     /// The map from splats would replace the scene's environment. Without splats there is no map,
     /// so the job's strength applies to the environment of the scene.

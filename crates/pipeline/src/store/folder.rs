@@ -13,7 +13,7 @@ use super::names::{Work, is_ours};
 use super::plugin_files;
 use super::settings::{is_sealed, is_written_by_us};
 use crate::error::PipelineError;
-use crate::job::Job;
+use crate::job::{DisplayJob, Job};
 
 /// Checks and locks the folder of a job, and removes left-overs of killed runs.
 ///
@@ -99,8 +99,9 @@ pub(crate) fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathB
     list.extend(named.into_iter().filter_map(|(role, path)| Some((role, path.clone()?))));
     // Add files that nodes name. Some files are listed twice, which has no effect.
     list.extend(job.paths_mut().map(|path| ("input", path.clone())));
-    let displays = job.sweep.iter().flat_map(|sweep| &sweep.displays).filter(|name| name.ends_with(".toml"));
-    list.extend(displays.map(|name| ("display file", job.folder.join(name))));
+    let displays = job.sweep.iter().flat_map(|sweep| &sweep.displays);
+    let files = displays.filter_map(|text| DisplayJob::by_name_or_path(text).file);
+    list.extend(files.map(|path| ("display file", job.folder.join(path))));
     let folder = job.folder.clone();
     for (_, id, params) in job.plugins_mut() {
         list.extend(plugin_files::of(registry, id, params).map(|(_, path)| ("plugin's file", folder.join(path))));
@@ -266,6 +267,13 @@ mod tests {
         job.display.file = Some(dir.join("display.toml"));
         assert!(try_take(dir, Work::Run, &job).unwrap_err().contains("display file"));
         job.display.file = None;
+        std::fs::create_dir(dir.join("designs")).unwrap();
+        std::fs::write(dir.join("designs/mine"), "mine").unwrap();
+        let displays = vec!["./designs/mine".into()];
+        job.sweep = Some(crate::SweepJob { displays, ..Default::default() });
+        job.folder = dir.to_owned();
+        assert!(try_take(dir, Work::Sweep, &job).unwrap_err().contains("display file"));
+        job.sweep = None;
         let fields = Job { scene: None, light_field: Some(dir.to_owned()), ..job };
         assert!(try_take(dir, Work::Sequence, &fields).unwrap_err().contains("light field"));
         drop(try_take(dir, Work::Run, &fields).unwrap());

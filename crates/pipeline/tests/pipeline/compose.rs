@@ -102,6 +102,8 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
     for id in ["t0001/source", "t0001/nodes/a/factorize", "t0002/nodes/b/factorize", "t0002/nodes/a/output-images"] {
         assert_eq!(cached(&found, id), Some(true), "{id}");
     }
+    let output = found.steps.iter().find(|step| step.id == "t0002/nodes/a/output-images").unwrap();
+    assert_eq!(output.writes, ["../../outputs/a"]);
     assert!(found.steps.iter().all(|step| step.memory_bytes > 0 && step.key.is_some()));
     let first = results(&dir);
     with_task(|task| run(&job, &dir, &registry, None, task)).unwrap();
@@ -140,6 +142,10 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
     assert!(csv.lines().next().unwrap().ends_with(
         ",psnr_worst_db,a_psnr_zone_db,a_psnr_view_db,a_psnr_worst_db,b_psnr_zone_db,b_psnr_view_db,b_psnr_worst_db"
     ));
+    // A plan does not know if earlier sweeps have solved the designs.
+    let found = plan(&swept, &out, &registry).unwrap();
+    assert_eq!(cached(&found, "design-00001"), None);
+    assert_eq!(found.steps.last().unwrap().writes, ["job.toml", "sweep.csv", "sweep.json", "plots"]);
     let again = with_task(|task| sweep(&swept, &out, &registry, task)).unwrap();
     assert_eq!((again.designs, again.kept), (2, 2));
 }

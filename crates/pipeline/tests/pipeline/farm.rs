@@ -113,6 +113,7 @@ fn units_of_a_sequence_of_two_nodes_give_the_bytes_of_a_run() {
     let warm = &of("t0002/nodes/a/factorize").inputs;
     assert!(warm.contains(&"t0002/source".to_owned()) && warm.contains(&"t0001/nodes/a/factorize".to_owned()));
     assert_eq!(of("t0001/nodes/a/results").steps.len(), 2);
+    assert_eq!(of("t0001/nodes/a/results").writes[0], "t0001/outputs/a");
     // The two reports of the sequence differ in durations and paths, so compare only a score.
     let times = |dir: &PathBuf| json(&dir.join("report.json"))["nodes"][0]["psnr_change"].clone();
     assert!(times(&one).is_number() && times(&one) == times(&many));
@@ -183,6 +184,7 @@ fn designs_are_units() {
     with_task(|task| sweep(&job, &one, &registry, task)).unwrap();
     let plan = execute(&job, &many, &registry);
     assert_eq!(ids(&plan)[1..], ["designs/1-of-4", "designs/2-of-4", "designs/3-of-4", "designs/4-of-4", "finish"]);
+    assert_eq!(plan.units.last().unwrap().writes, ["job.toml", "sweep.csv", "sweep.json", "plots"]);
     assert_eq!(results(&one), results(&many));
 }
 

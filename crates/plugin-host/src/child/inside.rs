@@ -29,8 +29,8 @@ const CANCEL_VALIDITY: Duration = Duration::from_millis(2);
 /// Stack size of a thread that runs `submit` or `command`, bytes. Stacks of main threads usually
 /// have this size.
 const STACK: usize = 8 << 20;
-/// Longest time in which the destructors of the library's statics may run before the process is
-/// ended.
+/// Longest time in which the destructors of the library's statics may run before this process ends
+/// itself. If the program still runs, it kills this process earlier.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The main function of a process that runs a plugin for another process. `args` are the two
@@ -368,8 +368,8 @@ unsafe extern "C" fn tell_program(context: *const c_void, event_json: Str) {
     unsafe { link_of(context).say(Say::Tell { json: text(event_json) }) };
 }
 
-/// A running call, with its data or sinks. The member `context` of their C structs points to this
-/// struct.
+/// Identifies a running call. In the C structs of the call's data and sinks, the member `context`
+/// points to this struct.
 struct Running {
     link: &'static Link,
     call: u64,

@@ -24,8 +24,8 @@ pub struct Launcher {
 static OF_PROCESS: OnceLock<Launcher> = OnceLock::new();
 
 impl Launcher {
-    /// Returns a launcher of the current program. `first` is the program's first argument, which
-    /// makes it run a plugin.
+    /// Returns a launcher of the current program; `None` if the program's path is unknown. `first`
+    /// is the program's first argument, which makes it run a plugin.
     pub fn this_program(first: &str) -> Option<Self> {
         // On Linux `/proc/self/exe` opens the running program, even if the program's file was
         // replaced on disk.

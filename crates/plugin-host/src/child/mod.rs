@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! program                                               child
-//!    │ Functions::open(HostServices, ...)                 │
-//!    ├── Call(open, texts) ──────────────────────────────▶│ the library's `open`
+//!    │ Functions::submit(Time, Data)                      │
+//!    ├── Call(submit, time, description) ────────────────▶│ the library's `submit`
 //!    │◀────────────── Request(file_append) + bytes ───────│
 //!    │   the program's own file_append                    │
 //!    ├── Answer ─────────────────────────────────────────▶│

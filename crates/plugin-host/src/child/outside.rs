@@ -15,7 +15,7 @@ use super::protocol::{self, Call, Loaded};
 use super::requests::{Lent, is_cancelled};
 use super::session::{Owner, Stopped};
 use crate::LoadError;
-use crate::serve::{Functions, Plugin};
+use crate::serve::{Functions, Plugin, PluginInfo};
 
 /// Loads a library in a child, and returns the library's plugin `id`. Later, every open output and
 /// every call that makes data starts its own child.
@@ -29,19 +29,22 @@ pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits
         Err(Stopped::Cancelled) => unreachable!("loading a library is never cancelled"),
         Err(Stopped::Died(cause)) => return Err(LoadError::Ended { path: path(), cause }),
     };
-    let info = match loaded {
-        Loaded::Plugin(info) if info.id == id => info,
-        Loaded::Plugin(info) => {
-            return Err(LoadError::OtherId { path: path(), expected: id.into(), found: info.id });
-        }
-        Loaded::Open(reason) => return Err(LoadError::Open { path: path(), reason }),
-        Loaded::NoEntry(symbol) => return Err(LoadError::NoEntry { path: path(), symbol }),
-        Loaded::Descriptor(reason) => {
-            return Err(LoadError::Descriptor { path: path(), reason: PluginError::Refused(reason) });
-        }
-        Loaded::OtherId(found) => return Err(LoadError::OtherId { path: path(), expected: id.into(), found }),
-    };
+    let info = plugin_of(loaded, library, id)?;
     Plugin::elsewhere(info, Arc::new(remote)).map_err(|reason| LoadError::Descriptor { path: path(), reason })
+}
+
+/// Returns the plugin `id` that a child has loaded, or the error of loading the library.
+fn plugin_of(loaded: Loaded, library: &Path, id: &str) -> Result<PluginInfo, LoadError> {
+    let path = library.to_path_buf();
+    match loaded {
+        Loaded::Plugin(info) if info.id == id => Ok(info),
+        Loaded::Plugin(PluginInfo { id: found, .. }) | Loaded::OtherId(found) => {
+            Err(LoadError::OtherId { path, expected: id.into(), found })
+        }
+        Loaded::Open(reason) => Err(LoadError::Open { path, reason }),
+        Loaded::NoEntry(symbol) => Err(LoadError::NoEntry { path, symbol }),
+        Loaded::Descriptor(reason) => Err(LoadError::Descriptor { path, reason: PluginError::Refused(reason) }),
+    }
 }
 
 /// A plugin whose functions run in child processes.
@@ -53,9 +56,17 @@ struct Remote {
 }
 
 impl Remote {
-    /// Starts a child and waits until it has loaded the library.
+    /// Starts a child and waits for the result of loading the library.
     fn start(&self, cancelled: &dyn Fn() -> bool) -> Result<(Owner, Loaded), Stopped> {
         Owner::start(&self.library, &self.id, &self.launcher, self.limits, cancelled)
+    }
+
+    /// Starts a child for calls. Fails if the library cannot be loaded, since its file may have
+    /// changed after [`probe`].
+    fn ready(&self, cancelled: &dyn Fn() -> bool) -> Result<Owner, Stopped> {
+        let (owner, loaded) = self.start(cancelled)?;
+        plugin_of(loaded, &self.library, &self.id).map_err(|error| Stopped::Died(error.to_string()))?;
+        Ok(owner)
     }
 
     /// Runs one function of the plugin in a child that is started for this call.
@@ -72,8 +83,8 @@ impl Remote {
     ) -> Status {
         // SAFETY: guaranteed by the caller.
         unsafe {
-            match self.start(&|| is_cancelled(host)) {
-                Ok((session, _)) => session.call(host, lent, what, doing, error),
+            match self.ready(&|| is_cancelled(host)) {
+                Ok(owner) => owner.call(host, lent, what, doing, error),
                 Err(stopped) => stopped.report(error),
             }
         }
@@ -171,8 +182,8 @@ unsafe impl Functions for Remote {
     ) -> Status {
         // SAFETY: guaranteed by the caller; the host provides memory for the handle.
         unsafe {
-            let owner = match self.start(&|| is_cancelled(host)) {
-                Ok((owner, _)) => owner,
+            let owner = match self.ready(&|| is_cancelled(host)) {
+                Ok(owner) => owner,
                 Err(stopped) => return stopped.report(error),
             };
             let (params, display) = (text(params_json), text(display_json));

@@ -2,8 +2,8 @@
 //!
 //! A message is a frame of four parts. They are the length of the head (u32), the length of the
 //! body (u64), the head as JSON, and the body. The lengths are little-endian. The body is bytes of
-//! a file, a plane of `f32` in native byte order, or a text that may be invalid UTF-8. Real numbers
-//! are sent as their bits, so that all of them, NaN included, arrive unchanged.
+//! a file, a plane of `f32` in native byte order, or a text that may be invalid UTF-8. Times and
+//! the real numbers of requests are sent as their bits, so that NaN, too, arrives unchanged.
 
 use std::io::{self, Read, Write};
 
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 const MAX_HEAD: u32 = 64 << 20;
 /// Longest body, bytes. A plane of 35 000 × 10 000 pixels fits.
 const MAX_BODY: u64 = 4 << 30;
-/// Largest piece of a file or a scene in one message, bytes.
+/// Largest piece of a file or a scene in one message of the child, bytes.
 pub(super) const PART: usize = 16 << 20;
 
 /// Messages from the program.

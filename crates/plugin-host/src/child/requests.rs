@@ -39,8 +39,8 @@ impl Lent {
     }
 }
 
-// SAFETY: the interface allows use of all these objects from any thread, except some sinks. The
-// host guards these sinks by locks.
+// SAFETY: the interface allows use of all these objects from any thread, except sinks. Locks guard
+// the sinks of light fields and layer stacks. Only the thread that reads messages uses `scene`.
 unsafe impl Send for Lent {}
 // SAFETY: as above.
 unsafe impl Sync for Lent {}
@@ -307,8 +307,29 @@ unsafe fn give_to_sink(
         };
         return Status::REFUSED;
     }
-    // The products cannot overflow, since `body` holds a plane of this shape.
-    let strides = [cols * channels * element, channels * element, element, 0].map(|stride| stride as isize);
+    // The products overflow only if the plane has no values, so no wrong stride is used.
+    let pixel = channels.wrapping_mul(element);
+    let strides = [cols.wrapping_mul(pixel), pixel, element, 0].map(|stride| stride as isize);
     let shape = [rows, cols, channels, 1];
     take(&Plane { data: body.as_ptr().cast(), dtype: dtype::F32, ndim: 3, shape, strides, ..Plane::empty() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plane_without_values_reaches_the_sink_whatever_its_shape() {
+        let mut text = String::new();
+        let error = keeping(&mut text);
+        let mut found = [1; 4];
+        // SAFETY: the sink of errors is valid, and the plane is lent for the call.
+        let status = unsafe {
+            give_to_sink(&[], [0, usize::MAX, 2], &error, |plane| {
+                found = (*plane).shape;
+                Status::OK
+            })
+        };
+        assert_eq!((status, found), (Status::OK, [0, usize::MAX, 2, 1]));
+    }
 }

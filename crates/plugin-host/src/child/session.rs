@@ -40,7 +40,8 @@ const CREATE_NEW_PROCESS_GROUP: u32 = 0x200;
 pub(super) enum Stopped {
     /// The user cancelled. The call did not end in time, so the child was killed.
     Cancelled,
-    /// The child could not be started, ended, or was ended, for this reason.
+    /// The child could not be started, could not load the library, ended, or was ended, for this
+    /// reason.
     Died(String),
 }
 
@@ -49,7 +50,7 @@ pub(super) enum Stopped {
 pub(super) struct Owner(pub(super) Arc<Session>);
 
 impl Owner {
-    /// Starts a child and waits until it has loaded the library.
+    /// Starts a child and waits for the result of loading the library.
     pub(super) fn start(
         library: &Path,
         id: &str,
@@ -302,8 +303,8 @@ impl Session {
         Stopped::Died(format!("the plugin's process ({}) {cause} while {doing}{}", self.library, self.last_printed()))
     }
 
-    /// Returns the last line that the plugin printed, for error messages. Waits until all prints
-    /// were read.
+    /// Returns the end of an error message, with the last line that the plugin printed; empty if it
+    /// printed none. Waits until all prints were read, for at most `DRAIN_TIMEOUT`.
     fn last_printed(&self) -> String {
         let deadline = Instant::now() + DRAIN_TIMEOUT;
         while !locked(&self.printed).1 && Instant::now() < deadline {
@@ -400,8 +401,8 @@ impl Session {
                     }
                     let _ = session.outgoing.send(Some((ToChild::Answer(answer), body)));
                 };
-                // Requests that compute or wait for the disk run in their own thread, so that other
-                // threads of the plugin proceed.
+                // Simulations, and reads and commits of files, may take long. Each runs in its own
+                // thread, so that other threads of the plugin proceed.
                 match what {
                     Request::Simulate { .. } | Request::ReadAsset { .. } | Request::FileCommit { .. } => {
                         thread::spawn(work);

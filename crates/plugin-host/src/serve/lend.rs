@@ -57,7 +57,8 @@ impl<'a> NodeData<'a> {
 pub(crate) struct Lent<'a> {
     data: OutputData<'a>,
     display: &'a Display,
-    /// Geometry of the lent light field, or of the light field for which the lent stack was solved.
+    /// Geometry of the lent light field, or of the lent stack's target. If the target is unknown,
+    /// this is the display's geometry.
     geometry: FieldGeometry,
     /// Simulates views of a lent stack. The simulator is made at the first request for a view.
     simulator: OnceLock<Simulator<'a>>,

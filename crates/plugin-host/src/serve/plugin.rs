@@ -88,8 +88,8 @@ impl Plugin {
     /// Makes a plugin from the descriptor that its entry function returns.
     ///
     /// # Errors
-    /// If the plugin was built for another version of the interface, if this host does not support
-    /// its kind, or if its description is invalid.
+    /// If the descriptor is null, too short, or of another major version of the interface. Also if
+    /// this host does not support the plugin's kind, or the plugin's description is invalid.
     ///
     /// # Safety
     /// `descriptor` is null, or points to a descriptor of at least `size` bytes. All that it points

@@ -273,6 +273,33 @@ fn plugins_of_the_other_kinds_are_named_as_well() {
     assert_eq!(made, b"{}");
 }
 
+/// Every output and every call that makes data loads the library again. If the file has changed in
+/// the meantime, the error of loading it is reported at once.
+#[test]
+fn a_library_that_was_damaged_after_its_first_use_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let library = hostile(folder.path(), "h_importer", "IMPORTER", "");
+    let (bench, importers) = (Bench::new(), registry(&[&library], LOAD, SILENCE));
+    for (registry, id) in [(&bench.registry, "hostile"), (&importers, "h_importer")] {
+        registry.get(id).unwrap();
+    }
+    let output = bench.folder.path().join(common::file_name("hostile"));
+    for library in [&output, &library] {
+        fs::write(library, "no library").unwrap();
+    }
+    let error = bench.write("").unwrap_err().to_string();
+    assert!(
+        error.starts_with(&format!("output `hostile` failed: {}: cannot be loaded: ", output.display())),
+        "{error}"
+    );
+    assert!(!bench.out().exists());
+    let read = |_: &str| Ok(Vec::new());
+    let made = import_scene(&importers, "h_importer", &json!({}), "a.hostile", &read, bench.task());
+    let error = made.unwrap_err().to_string();
+    let expected = format!("importer `h_importer` failed: {}: cannot be loaded: ", library.display());
+    assert!(error.starts_with(&expected), "{error}");
+}
+
 /// A plugin of these tests creates a file when its library is loaded. This test starts a process
 /// that uses one of two plugins. Afterwards only the file of the used plugin must exist.
 /// Environment variables of the process name the libraries and the folder.

@@ -115,7 +115,11 @@ fn names_and_places_are_checked() {
     let folder = tempfile::tempdir().unwrap();
     let misnamed = folder.path().join("faulty.so");
     fs::copy(example("faulty"), &misnamed).unwrap();
-    assert_eq!(failure(&misnamed), format!("expected a file named like `{}`, found another name", file_name("NAME")));
+    let expected = format!(
+        "expected a file named like `{}`, with NAME of lower-case letters, digits and underscores, beginning with a letter, found another name",
+        file_name("NAME")
+    );
+    assert_eq!(failure(&misnamed), expected);
     let upper = folder.path().join(file_name("Faulty"));
     fs::copy(example("faulty"), &upper).unwrap();
     assert!(failure(&upper).starts_with("expected a file named"));

@@ -126,6 +126,10 @@ fn everything_goes_wrong(bench: &Bench) {
         (json!({"path": "/tmp/escaped.txt"}), "output `faulty`: file `/tmp/escaped.txt`: expected a path inside"),
         (json!({"path": "sub0/F.txt"}), "output `faulty`: file `sub0/F.txt` was already written"),
         (json!({"path": "sub0"}), "output `faulty` failed: cannot write `sub0`"),
+        (
+            json!({"path": "sub0", "fault": "ignore errors"}),
+            "output `faulty` finished, but did not complete the files sub0",
+        ),
         (json!({"path": "a/../../b"}), "output `faulty`: file `a/../../b`: expected a path inside"),
         (json!({"path": "C:\\a"}), "output `faulty`: file `C:\\\\a`: expected a path inside"),
         (json!({"path": "com1.txt"}), "output `faulty`: file `com1.txt`: expected a path inside"),

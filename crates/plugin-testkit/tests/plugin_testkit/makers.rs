@@ -120,6 +120,26 @@ mod echo {
     lumistack_plugin::export_plugin!("echo", super::Echo as importer);
 }
 
+/// A node that refuses every display without a reason.
+struct Silent;
+
+impl NodePlugin for Silent {
+    const DOC: &'static str = "Refuses every display.";
+    type Params = GainParams;
+
+    fn schema() -> Schema {
+        gain_schema()
+    }
+
+    fn make(_: GainParams, _: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
+        Err(PluginError::Refused(String::new()))
+    }
+}
+
+mod silent {
+    lumistack_plugin::export_plugin!("silent", super::Silent as node);
+}
+
 fn display() -> Display {
     let mut display = Display::uniform([4, 3], 1.0, [3, 1], [20.0, 10.0], &[-1.0, 1.0], 2);
     display.backlight = Backlight::Lenslets(LensletBacklight::new(-9.0, [2, 2], 2.0, [3, 2], [20.0, 20.0]));
@@ -142,6 +162,11 @@ fn they_conform() {
     for plugin in [&flat::PLUGIN, &card::PLUGIN, &echo::PLUGIN] {
         conformance(plugin).unwrap();
     }
+}
+
+#[test]
+fn a_refusal_without_a_reason_breaks_a_rule() {
+    assert_eq!(conformance(&silent::PLUGIN).unwrap_err().rule, "accepts a display or refuses it with a reason");
 }
 
 #[test]

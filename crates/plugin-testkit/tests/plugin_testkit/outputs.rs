@@ -254,6 +254,8 @@ const WRITES_NOTHING: u8 = 6;
 /// Ignores the error of a write before `commit`. Some encoders do this, since they write their last
 /// bytes when they are dropped. The rules allow this, since `commit` returns the error.
 const LEAVES_ERRORS_TO_COMMIT: u8 = 7;
+const REFUSES_WITHOUT_REASON: u8 = 8;
+const IGNORES_CANCEL_MIDWAY: u8 = 9;
 
 #[derive(Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
@@ -287,6 +289,12 @@ impl<const FAULT: u8> OutputPlugin for Faulty<FAULT> {
         let bytes = if FAULT == DIFFERS { calls.to_string() } else { String::new() };
         if FAULT == WRITES_NOTHING {
             return Ok(());
+        }
+        if FAULT == REFUSES_WITHOUT_REASON {
+            return Err(PluginError::Refused(String::new()));
+        }
+        if FAULT == IGNORES_CANCEL_MIDWAY {
+            self.host.write(&format!("{}-first.txt", time.index), b"")?;
         }
         let mut file = self.host.create(&format!("{}.txt", time.index))?;
         if FAULT == LEAKS_FILES {
@@ -324,4 +332,6 @@ fn the_kit_notices_broken_rules() {
     assert_eq!(broken::<LEAVES_STAGES>(), "every stage of progress ends");
     assert_eq!(broken::<SCHEMA_DIFFERS>(), "works with default parameters");
     assert_eq!(broken::<WRITES_NOTHING>(), "an output that does not present writes something");
+    assert_eq!(broken::<REFUSES_WITHOUT_REASON>(), "accepts a sample or refuses it with a reason");
+    assert_eq!(broken::<IGNORES_CANCEL_MIDWAY>(), "returns `cancelled` if it opens a file after cancellation");
 }

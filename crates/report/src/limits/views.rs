@@ -82,7 +82,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
             };
             let (low, high) = (low - depths.resolution_mm, high + depths.resolution_mm);
             let far = part(&|row, col| !(low..=high).contains(&depths.z_mm(row, col)));
-            Some((place == middle, far, part(&|row, col| depths.is_edge(row, col))))
+            Some((place, far, part(&|row, col| depths.is_edge(row, col))))
         })
         .collect();
     // Sum each class over the views. Then compute the gain if the class had the mean error of all
@@ -93,12 +93,14 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
     if found.is_empty() || jumps.share_of_rays() > BELIEVABLE_JUMPS {
         return Ok(Vec::new());
     }
-    let limit = |name, what: &str, pick: &dyn Fn(&(bool, Part, Part)) -> Part| {
-        let sum = |outer: Option<bool>| {
-            let views = found.iter().filter(|(is_middle, ..)| outer.is_none_or(|outer| *is_middle != outer));
+    let limit = |name, what: &str, pick: &dyn Fn(&(usize, Part, Part)) -> Part| {
+        let sum = |chosen: &dyn Fn(usize) -> bool| {
+            let views = found.iter().filter(|(place, ..)| chosen(*place));
             views.fold(Part::default(), |sum, view| sum.merged(pick(view)))
         };
-        let (all, centre, outer) = (sum(None), sum(Some(false)), sum(Some(true)));
+        // If a row has two views, the right view is both the central view and an outer view.
+        let (all, centre) = (sum(&|_| true), sum(&|place| place == middle));
+        let outer = sum(&|place| place == 0 || place == last);
         let mut text = format!(
             "{what} are {} of the central view's rays, and have {} of its squared error. In the leftmost and rightmost views, rays of this kind are {} of all rays, and have {} of the squared error. ",
             format::percent(centre.share_of_rays()),

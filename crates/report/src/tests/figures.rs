@@ -305,6 +305,19 @@ fn error_behind_the_layers_is_found_there() {
 }
 
 #[test]
+fn both_of_two_views_are_outer_views() {
+    let text = "name = \"one\"\nframes = 1\nbrightness = 1.0\n[field]\nresolution = [160, 40]\npitch_mm = 1.0\nviews = [2, 1]\nfov_deg = [20.0, 20.0]\n[[layers]]\nd_mm = 0.0\nresolution = [160, 40]\npitch_mm = 1.0\n";
+    let display = Display::from_toml(text).unwrap();
+    let target = stepped_field(&display, -40.0);
+    let mut stack = LayerStack::filled(&display, 0.0);
+    // The left view is exact, so all error is in the right view.
+    stack.layers[0].data_mut().copy_from_slice(target.view([0, 0]));
+    let report = built(&plain(&display, &stack, &target)).unwrap().json;
+    let depth = limit(&report, "Depth");
+    assert!(number(&depth["figures"]["share_of_error_outer"]) > 0.9, "{depth}");
+}
+
+#[test]
 fn the_second_half_of_the_iterations_is_weighed() {
     let display = display(2, 2, [3, 3], [12, 8], "");
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));

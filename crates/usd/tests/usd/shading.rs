@@ -258,6 +258,40 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     }
 }
 
+/// The emission (8, 4, 2) comes from nodes whose inputs have several components, and from a range
+/// that clamps its output.
+#[test]
+fn several_components_are_combined_and_ranges_are_clamped() {
+    let emitted = |nodes: &str| {
+        let surface = "def Shader \"s\" { uniform token info:id = \"UsdPreviewSurface\"\n \
+            color3f inputs:emissiveColor.connect = </m/last.outputs:out>\n token outputs:surface\n }";
+        let (_, found, warnings) = material(&format!("{surface}\n{nodes}"))?;
+        assert!(warnings.is_empty(), "{warnings:?}");
+        Some(found.emission)
+    };
+    let combined = |id: &str, inputs: &str, channels: &str| {
+        format!(
+            "def Shader \"all\" {{ uniform token info:id = \"{id}\"\n {inputs}\n float4 outputs:out\n }}\n\
+             def Shader \"last\" {{ uniform token info:id = \"ND_swizzle_vector4_color3\"\n \
+             float4 inputs:in.connect = </m/all.outputs:out>\n string inputs:channels = \"{channels}\"\n color3f outputs:out\n }}"
+        )
+    };
+    let expected = Vec3::new(8.0, 4.0, 2.0);
+    let three = "color3f inputs:in1 = (2, 4, 6)\n float inputs:in2 = 8";
+    let Some(found) = emitted(&combined("ND_combine2_color4CF", three, "agr")) else { return };
+    assert_eq!(found, expected);
+    let two = "float2 inputs:in1 = (2, 4)\n float2 inputs:in2 = (6, 8)";
+    assert_eq!(emitted(&combined("ND_combine2_vector4VV", two, "wyx")), Some(expected));
+    let range = |more: &str| {
+        format!(
+            "def Shader \"last\" {{ uniform token info:id = \"ND_range_color3FA\"\n color3f inputs:in = (2, 0.5, 0.25)\n \
+             float inputs:outhigh = 8\n {more}\n color3f outputs:out\n }}"
+        )
+    };
+    assert_eq!(emitted(&range("")), Some(Vec3::new(16.0, 4.0, 2.0)));
+    assert_eq!(emitted(&range("bool inputs:doclamp = 1")), Some(expected));
+}
+
 /// A surface that emits light has the same emission in every supported shader, for constants and
 /// for textures.
 #[test]

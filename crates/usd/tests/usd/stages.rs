@@ -497,6 +497,21 @@ fn variants_are_chosen_by_name_on_all_prims_or_one() {
 }
 
 #[test]
+fn animated_points_are_counted() {
+    if common::python().is_none() {
+        return;
+    }
+    let text = "#usda 1.0\n(\n startTimeCode = 3\n endTimeCode = 4\n)\ndef Mesh \"a\"\n{\n \
+        point3f[] points.timeSamples = { 3: [(0, 0, 0), (1, 0, 0), (0, 1, 0)], 4: [] }\n}\n";
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.usda");
+    write(&path, text);
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let found = contents(&path, Task::quiet(&warnings, &cancel)).unwrap();
+    assert_eq!((found.meshes, found.points), (1, 3));
+}
+
+#[test]
 fn meshes_bring_their_primvars_orientation_and_subsets() {
     if common::python().is_none() {
         return;

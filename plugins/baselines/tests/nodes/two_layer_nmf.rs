@@ -6,7 +6,7 @@ use lumistack_plugin::display::{Display, LayerStack, RayMap, Weights, score};
 use lumistack_plugin_baselines::two_layer_nmf::PLUGIN;
 use lumistack_plugin_testkit::{conformance, made_by, random_field};
 
-/// Tolerance of f32 arithmetic over a few iterations.
+/// Tolerance of f32 arithmetic in one iteration.
 const ROUNDING: f64 = 2e-3;
 
 fn display(frames: usize) -> Display {
