@@ -109,7 +109,6 @@ fn a_missing_program_is_named_before_anything_is_rendered() {
 #[cfg(unix)]
 #[test]
 fn the_external_denoiser_receives_pictures_and_its_result_is_used() {
-    use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let (run, program) = (folder.path().join("run"), folder.path().join("oidnDenoise"));
     let script = r#"#!/bin/sh
@@ -117,8 +116,11 @@ if [ "$1" = --help ]; then echo "Open Image Denoise stand-in"; exit; fi
 while [ $# -gt 0 ]; do case "$1" in --hdr) in="$2";; --alb) alb="$2";; --nrm) nrm="$2";; -o) out="$2";; esac; shift; done
 test -s "$alb" && test -s "$nrm" && cp "$in" "$out"
 "#;
-    std::fs::write(&program, script).unwrap();
-    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+    // If this process wrote the program, processes of other tests could keep the file open, and the
+    // system would refuse to run it.
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", "printf %s \"$1\" > \"$0\" && chmod 755 \"$0\""]).arg(&program).arg(script);
+    assert!(shell.status().unwrap().success());
     succeed(still_life(&run, "oidn").env("LUMISTACK_OIDN", &program));
     let reported = report(&run)["denoising"].clone();
     // the test program returns its input unchanged, so errors and mean do not change

@@ -355,16 +355,11 @@ pub(crate) fn is_python(program: &Path) -> bool {
 
 #[cfg(all(test, unix))]
 mod tests {
-    use std::os::unix::fs::PermissionsExt;
-
     use super::*;
 
-    /// Writes a script that is run instead of Blender.
+    /// Writes a script that is run instead of Blender. Its variable `last` is the last argument.
     fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
-        let program = folder.join(name);
-        std::fs::write(&program, format!("#!/bin/sh\nfor last; do :; done\n{script}\n")).unwrap();
-        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
-        Candidate { program, from: "PATH", given: false }
+        crate::child::fake(folder, name, &format!("for last; do :; done\n{script}"))
     }
 
     fn asked(folder: &Path, candidates: &[Candidate]) -> Result<BlendAccount, UsdError> {

@@ -230,23 +230,27 @@ fn last_line(said: &str) -> String {
     line.map_or_else(String::new, |line| format!("; last output: {}", line.trim()))
 }
 
+/// Writes a script that tests run instead of Python or Blender.
+///
+/// Another process writes the file. If this process wrote it, a process that another test starts
+/// meanwhile could keep the file open, and the system would refuse to run the script.
+#[cfg(all(test, unix))]
+pub(crate) fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
+    let program = folder.join(name);
+    let mut shell = Command::new("sh");
+    shell.args(["-c", "printf '#!/bin/sh\\n%s\\n' \"$1\" > \"$0\" && chmod 755 \"$0\""]).arg(&program).arg(script);
+    assert!(shell.status().unwrap().success());
+    Candidate { program, from: "PATH", given: false }
+}
+
 #[cfg(all(test, unix))]
 mod tests {
-    use std::os::unix::fs::PermissionsExt;
     use std::path::PathBuf;
     use std::time::Instant;
 
     use super::*;
 
     const REQUEST: Request<'static> = Request { path: "scene.usda", time_s: None, variants: &[], contents_only: false };
-
-    /// Writes a script that is run instead of Python.
-    fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
-        let program = folder.join(name);
-        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
-        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
-        Candidate { program, from: "PATH", given: false }
-    }
 
     fn error(candidates: &[Candidate]) -> String {
         ask_one_of(candidates, &REQUEST, &Cancel::default()).err().expect("this Python gives no scene").to_string()
@@ -326,7 +330,8 @@ mod tests {
                 }
                 cancel.cancel();
             });
-            assert!(matches!(ask_one_of(&[sleeper], &REQUEST, &cancel), Err(UsdError::Cancelled(_))));
+            let result = ask_one_of(&[sleeper], &REQUEST, &cancel);
+            assert!(matches!(result, Err(UsdError::Cancelled(_))), "{:?}", result.err());
         });
         assert!(start.elapsed().as_secs() < 20);
         let pid = std::fs::read_to_string(&pid).unwrap();

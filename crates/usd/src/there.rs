@@ -91,31 +91,22 @@ fn first_of(
 
 #[cfg(all(test, unix))]
 mod tests {
-    use std::os::unix::fs::PermissionsExt;
-    use std::path::Path;
-
     use super::*;
-
-    fn program(folder: &Path, name: &str, script: &str) -> Candidate {
-        let program = folder.join(name);
-        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
-        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
-        Candidate { program, from: "PATH", given: false }
-    }
+    use crate::child::fake;
 
     #[test]
     fn the_first_that_answers_is_named_and_those_before_it_are_not() {
         let folder = tempfile::tempdir().unwrap();
-        let broken = program(folder.path(), "broken", "echo no module >&2; exit 1");
-        let good = program(folder.path(), "good", "echo Version 7; echo built on a Monday");
+        let broken = fake(folder.path(), "broken", "echo no module >&2; exit 1");
+        let good = fake(folder.path(), "good", "echo Version 7; echo built on a Monday");
         let ask = |candidates: &[Candidate]| {
             first_of(candidates, |candidate| Command::new(&candidate.program), too_old, &Cancel::default()).unwrap()
         };
         let (found, version) = ask(&[broken.clone(), good]).unwrap();
         assert!(found.ends_with("good") && version == "Version 7", "{found}: {version}");
         // a Blender that is too old does not count
-        let old = program(folder.path(), "blender", "echo Blender 3.4.1; echo built on a Monday");
-        let new = program(folder.path(), "blender-4", "echo Blender 4.2.0 LTS");
+        let old = fake(folder.path(), "blender", "echo Blender 3.4.1; echo built on a Monday");
+        let new = fake(folder.path(), "blender-4", "echo Blender 4.2.0 LTS");
         assert_eq!(ask(&[old.clone(), new]).unwrap().1, "Blender 4.2.0 LTS");
         let tried = ask(&[old]).unwrap_err();
         assert!(tried[0].contains("Blender 3.4.1; 4.2 is the oldest supported version"), "{tried:?}");
